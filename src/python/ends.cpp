@@ -109,9 +109,18 @@ std::unique_ptr<Engine> join(const py::kwargs& given) {
   EngineOptions options;
   const py::dict left = given.attr("copy")();
   const auto take = [&left](const char* name, auto& option) {
+    using Option = std::decay_t<decltype(option)>;
     if (!left.contains(name)) return;
-    option = left[name].template cast<std::decay_t<decltype(option)>>();
-    left.attr("pop")(name);
+    const py::object value = left.attr("pop")(name);
+    try {
+      option = value.template cast<Option>();
+    } catch (const py::cast_error&) {
+      const char* const takes = std::is_same_v<Option, bool>          ? "True or False"
+                                : std::is_same_v<Option, std::string> ? "a str"
+                                                                      : "a number of 0 or more";
+      throw py::type_error(std::string(name) + ": takes " + takes + ", not " +
+                           py::repr(value).cast<std::string>());
+    }
   };
   take("segment", options.segment);
   take("directory", options.directory);
@@ -176,7 +185,9 @@ void define_engine(py::module_& module) {
       .def(py::init(&join),
            "Joins the segment, and makes it where there is none. Options, by name: segment,\n"
            "directory, size_bytes, permissions, group, user, persist, lock_memory, name; of a new\n"
-           "segment: processes, blocks, topics, channels, readers.")
+           "segment: processes, blocks, topics, channels, readers. The environment's variables "
+           "come\n"
+           "first: LOT_SEGMENT is taken in place of segment, LOT_SIZE of size_bytes, and so on.")
       .def("_advertise", &advertise)
       .def("_subscribe", &subscribe)
       .def("_queue", &queue)
@@ -184,6 +195,7 @@ void define_engine(py::module_& module) {
       .def("_ticket", &Engine::ticket)
       .def("type_of", &Engine::type_of, py::arg("topic"),
            "What the topic carries; None where no process uses it.")
+      .def("__repr__", [](const Engine& its) { return "<lot.Engine " + its.path() + ">"; })
       .def_property_readonly("path", &Engine::path, "The file that the segment is.");
 }
 

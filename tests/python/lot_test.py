@@ -155,6 +155,64 @@ class Types(Case):
             class Wrong:
                 x: dict
 
+    def refused(self, text, call, *arguments, **named):
+        with self.assertRaisesRegex(TypeError, text):
+            call(*arguments, **named)
+
+    def test_what_a_struct_cannot_have_is_refused(self):
+        class Derived(Point):
+            z: lot.f64
+
+        class Default:
+            x: lot.f64 = 7.0
+
+        class Bare:
+            x = lot.f64
+
+        class Other:
+            x: lot.f64
+            y = float
+
+        class Fine:
+            x: lot.f64
+
+            class Inner:
+                pass
+
+            def twice(self):
+                return 2 * self.x
+        self.refused('Derived inherits fields of Point: .*a field of type Point', lot.message, Derived)
+        self.refused(r'Default.x: a field has no default.*loan\(x=', lot.message, Default)
+        self.refused('Bare.x is no field: .*annotation', lot.message, Bare)
+        self.refused('Other.y is no field', lot.message, Other)
+        self.assertEqual(len(lot.type_of(lot.message(Fine)).fields()), 1)
+        self.refused("lot.message.name='robot::Bad'", lot.message, 'robot::Bad')
+
+    def test_wrong_arguments_are_named(self):
+        self.refused("size_bytes: takes a number of 0 or more, not '2G'", lot.Engine, size_bytes='2G')
+        self.refused('segment: takes a str, not 3', lot.Engine, segment=3)
+        self.refused("persist: takes True or False, not 'yes'", lot.Engine, persist='yes')
+        self.refused("policy: takes a lot.Policy, not 'block'", self.engine.advertise, '/topic', Point, policy='block')
+        self.refused('topic: takes a str, not 3', self.engine.advertise, 3, Point)
+        self.refused('topic: takes a str, not 3', self.engine.subscribe, 3)
+        self.refused('history: takes a number of 0 or more, not -1', self.engine.subscribe, '/topic', Point, history=-1)
+        self.refused('history: takes a number of 0 or more, not -1', self.engine.advertise, '/topic', Point, history=-1)
+        self.refused("policy: takes a lot.Policy, not 'block'", self.engine.queue, 'jobs', Job, policy='block')
+        self.refused('element and a count', lot.array.__class_getitem__, lot.f32)
+        self.refused('count: takes a number of 0 or more, not -1', lot.array.__class_getitem__, (lot.f32, -1))
+        self.refused('request: takes what loan', self.engine.client('/frame', Job, Frame).call, {'number': 3})
+        self.refused('end: takes a Subscriber or a Queue', lot.WaitSet().add, 3, print)
+
+    def test_a_subscriber_waits_for_the_type_of_its_topic(self):
+        self.raises(errno.ENOENT, self.engine.subscribe, '/topic', timeout=0.05)
+        pubs = []
+        later = threading.Timer(0.1, lambda: pubs.append(self.engine.advertise('/topic', Point)))
+        later.start()
+        sub = self.engine.subscribe('/topic', timeout=None)
+        later.join()
+        pubs[0].push(pubs[0].loan(x=3))
+        self.assertEqual(sub.pull(0).x, 3)
+
     def test_a_topic_tells_its_type(self):
         self.raises(errno.ENOENT, self.engine.subscribe, '/none')
         self.assertIsNone(self.engine.type_of('/none'))

@@ -12,6 +12,9 @@ import asyncio
 import enum
 import errno
 import inspect
+import operator
+import time
+import types
 
 import numpy
 
@@ -48,6 +51,25 @@ def type_of(what):
     return found
 
 
+def _count(name, value):
+    """The number that an argument is; TypeError, which names the argument."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if not 0 <= number < 1 << 64:
+        raise TypeError(f'{name}: takes a number of 0 or more, not {value!r}')
+    return number
+
+
+def _a(kind, name, value):
+    """The argument, which is of that class; TypeError, which names the argument."""
+    if not isinstance(value, kind):
+        module = '' if kind.__module__ == 'builtins' else 'lot.'
+        raise TypeError(f'{name}: takes a {module}{kind.__name__}, not {value!r}')
+    return value
+
+
 class vector:
     """lot.vector[T]: any number of T."""
 
@@ -59,8 +81,10 @@ class array:
     """lot.array[T, n]: n of T."""
 
     def __class_getitem__(cls, parts):
+        if not isinstance(parts, tuple) or len(parts) != 2:
+            raise TypeError(f'lot.array takes an element and a count, lot.array[lot.f32, 3], not {parts!r}')
         element, count = parts
-        return Type.array(type_of(element), count)
+        return Type.array(type_of(element), _count('count', count))
 
 
 class ref:
@@ -95,6 +119,22 @@ def enumeration(number, name=None):
     return decorate
 
 
+def _require_fields_alone(cls, hints):
+    """TypeError for what a struct of LOT cannot have."""
+    for base in cls.__mro__[1:]:
+        if '__lot_type__' in vars(base) or vars(base).get('__annotations__'):
+            raise TypeError(f'{cls.__name__} inherits fields of {base.__name__}: a message has all of its fields in its own '
+                            f'class. Repeat them there, or have a field of type {base.__name__}')
+    for name, value in vars(cls).items():
+        if name in hints and not isinstance(value, types.MemberDescriptorType):
+            raise TypeError(f'{cls.__name__}.{name}: a field has no default. Set it in each message: loan({name}=...)')
+        is_method = isinstance(value, (types.FunctionType, property, classmethod, staticmethod))
+        is_nested = isinstance(value, type) and value.__qualname__.startswith(cls.__qualname__ + '.')
+        if not (name in hints or is_method or is_nested or name.startswith('__')):
+            raise TypeError(f'{cls.__name__}.{name} is no field: a field has an annotation, as in x: lot.f32. Other values '
+                            'stand outside of the class')
+
+
 def message(cls=None, *, name=None):
     """Decorates a class with annotations: the type of messages whose C++ struct has that name and these
     fields, in this order. name: the C++ name with its namespaces, by default the class's.
@@ -105,8 +145,12 @@ def message(cls=None, *, name=None):
             label: lot.string
     """
 
+    if cls is not None and not isinstance(cls, type):
+        raise TypeError(f'@lot.message decorates a class; with a name it is @lot.message(name={cls!r})')
+
     def decorate(decorated):
         hints = inspect.get_annotations(decorated, eval_str=True)
+        _require_fields_alone(decorated, hints)
         decorated.__lot_type__ = Type.structure(
             name or decorated.__name__, [(field, type_of(what)) for field, what in hints.items()])
         return decorated
@@ -118,14 +162,28 @@ def _advertise(self, topic, message_type, *, policy=Policy.OVERWRITE, depth=64, 
                stamp=False, queue_engine=QueueEngine.RING):
     """A publisher of the topic. message_type: a class, or a Type. block_for: seconds that a push waits under
     Policy.BLOCK. history: how many of the newest messages stay for later readers; None: all."""
-    return self._advertise(topic, type_of(message_type), policy, depth, block_for, history, max_bytes, stamp, queue_engine)
+    return self._advertise(
+        _a(str, 'topic', topic), type_of(message_type), _a(Policy, 'policy', policy), _count('depth', depth), block_for,
+        history if history is None else _count('history', history), _count('max_bytes', max_bytes), stamp,
+        _a(QueueEngine, 'queue_engine', queue_engine))
 
 
-def _subscribe(self, topic, message_type=None, *, wait=Wait.ADAPTIVE, history=0, max_held_bytes=0, observer=False):
+def _subscribe(self, topic, message_type=None, *, wait=Wait.ADAPTIVE, history=0, max_held_bytes=0, observer=False, timeout=0):
     """A subscriber of the topic. message_type: a class, or a Type; None: what the topic carries, which some process
-    must use then (errno.ENOENT). history: how many messages of before come first. observer: it only looks on."""
-    wanted = None if message_type is None else type_of(message_type)
-    return self._subscribe(topic, wanted, wait, history, max_held_bytes, observer)
+    must use then. timeout: seconds to wait for such a process (errno.ENOENT: there is none); None: for ever. history:
+    how many messages of before come first. observer: it only looks on."""
+    _a(str, 'topic', topic)
+    wanted = _type_on(self, topic, timeout) if message_type is None else type_of(message_type)
+    return self._subscribe(topic, wanted, _a(Wait, 'wait', wait), _count('history', history),
+                           _count('max_held_bytes', max_held_bytes), observer)
+
+
+def _type_on(engine, topic, timeout):
+    """What the topic carries, as soon as a process uses it; None: the time is up."""
+    until = float('inf') if timeout is None else time.monotonic() + timeout
+    while (found := engine.type_of(topic)) is None and time.monotonic() < until:
+        time.sleep(0.02)
+    return found
 
 
 def _make(self, message_type, **fields):
@@ -137,7 +195,8 @@ def _queue(self, name, item_type, *, depth=64, policy=Policy.BLOCK, redeliver=Fa
            queue_engine=QueueEngine.RING):
     """A queue whose items are each taken by one reader. item_type: a class, or a Type. depth: how many of this handle
     wait in it at most. redeliver: items are tasks (take()), which another worker gets if one dies at work."""
-    return self._queue(name, type_of(item_type), depth, policy, redeliver, wait, queue_engine)
+    return self._queue(_a(str, 'name', name), type_of(item_type), _count('depth', depth), _a(Policy, 'policy', policy), redeliver,
+                       _a(Wait, 'wait', wait), _a(QueueEngine, 'queue_engine', queue_engine))
 
 
 def _serve(self, name, request_type, response_type, handler, *, wait=Wait.ADAPTIVE, on_error=print_error):
