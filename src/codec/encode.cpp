@@ -127,6 +127,12 @@ std::vector<Bytes> Encoded::pieces() const {
   return result;
 }
 
+void Encoded::pad(std::uint64_t bytes) {
+  const std::uint64_t more = padding(size_, bytes);
+  buffer_.resize(buffer_.size() + more);
+  size_ += more;
+}
+
 void encode(const Program& program, const Value& message, Encoded& into) {
   program.require(message);
   Encoder(program, into).run(message);

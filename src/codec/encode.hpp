@@ -37,6 +37,9 @@ class Encoded {
   /// All bytes in their order. Valid until the next message, and as long as the message. Throws
   /// std::bad_alloc.
   std::vector<Bytes> pieces() const;
+  /// Adds zero bytes, up to a multiple of `bytes`, a power of two. A decoder takes up to three of
+  /// them behind a message. Throws std::bad_alloc.
+  void pad(std::uint64_t bytes);
 
  private:
   friend class Encoder;

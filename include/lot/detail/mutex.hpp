@@ -35,6 +35,8 @@ enum class Rank : unsigned char {
   Loop,
   Intake,
   Immediate,
+  // the gateway
+  Gateway,
   // the library
   Recording,
   Signals,
@@ -67,11 +69,12 @@ inline namespace LOT_LOCKS {
 #ifdef LOT_CHECK_LOCKS
 constexpr const char* name_of(Rank rank) noexcept {
   constexpr const char* kNames[] = {
-      "Camera",  "Opening",  "Session",    "Advertising", "End",     "Outlet",   "Inlet",
-      "Taken",   "Ring",     "News",       "Made",        "Known",   "Idle",     "PeerNews",
-      "Loop",    "Intake",   "Immediate",  "Recording",   "Signals", "Listener", "Queue",
-      "Joining", "Leave",    "Departures", "Topics",      "Reap",    "Settle",   "Keeper",
-      "Pools",   "Eviction", "Ahead",      "Pool",        "Process", "Notifier", "Doubts"};
+      "Camera",     "Opening",  "Session",  "Advertising", "End",       "Outlet",
+      "Inlet",      "Taken",    "Ring",     "News",        "Made",      "Known",
+      "Idle",       "PeerNews", "Loop",     "Intake",      "Immediate", "Gateway",
+      "Recording",  "Signals",  "Listener", "Queue",       "Joining",   "Leave",
+      "Departures", "Topics",   "Reap",     "Settle",      "Keeper",    "Pools",
+      "Eviction",   "Ahead",    "Pool",     "Process",     "Notifier",  "Doubts"};
   static_assert(sizeof(kNames) / sizeof(kNames[0]) == static_cast<unsigned>(Rank::Doubts) + 1);
   return kNames[static_cast<unsigned>(rank)];
 }

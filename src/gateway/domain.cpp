@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "gateway/domain.hpp"
+
+#include <cstdlib>
+
+namespace lot::gateway {
+namespace {
+
+/// A reliable writer keeps this much that is not acknowledged. More than the last samples of a
+/// topic take: so these push older ones out, and the writer does not wait.
+constexpr const char* kUnacknowledged = "1 GB";
+
+std::string escaped(const std::string& text) {
+  std::string result;
+  for (const char c : text) {
+    switch (c) {
+      case '&':
+        result += "&amp;";
+        break;
+      case '<':
+        result += "&lt;";
+        break;
+      case '"':
+        result += "&quot;";
+        break;
+      default:
+        result += c;
+    }
+  }
+  return result;
+}
+
+std::string within_domain(const std::string& elements) {
+  return "<CycloneDDS><Domain Id=\"any\">" + elements + "</Domain></CycloneDDS>";
+}
+
+bool is_address(const std::string& interface) {
+  return interface.find_first_not_of("0123456789.") == std::string::npos;
+}
+
+/// Fragments of configuration: the later ones come before the earlier ones.
+std::string configuration(const DomainSettings& settings) {
+  std::string own = "<Internal><MaxSampleSize>" + std::to_string(settings.max_size) +
+                    " B</MaxSampleSize><Watermarks><WhcHigh>" + kUnacknowledged +
+                    "</WhcHigh></Watermarks></Internal>";
+  if (!settings.interface.empty()) {
+    own += "<General><Interfaces><NetworkInterface " +
+           std::string(is_address(settings.interface) ? "address" : "name") + "=\"" +
+           escaped(settings.interface) + "\"/></Interfaces></General>";
+  }
+  std::string all = within_domain(own);
+  if (!settings.more.empty()) all += "," + within_domain(settings.more);
+  const char* const users = std::getenv("CYCLONEDDS_URI");
+  if (users != nullptr && *users != '\0') all += "," + std::string(users);
+  return all;
+}
+
+}  // namespace
+
+Domain::Domain(const DomainSettings& settings) {
+  const std::string name = "DDS domain " + std::to_string(settings.id);
+  domain_ = Entity(dds_create_domain(settings.id, configuration(settings).c_str()), name,
+                   "join the domain");
+  participant_ =
+      Entity(dds_create_participant(settings.id, nullptr, nullptr), name, "make a participant");
+}
+
+}  // namespace lot::gateway

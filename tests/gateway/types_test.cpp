@@ -1,0 +1,172 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// Bytes of CDR as samples of CycloneDDS: between two domains of one process.
+
+#include <chrono>
+#include <cstdint>
+#include <cstring>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "codec/decode.hpp"
+#include "gateway/cdr_type.hpp"
+#include "gateway/domain.hpp"
+#include "gateway/two_domains.hpp"
+#include "support/error_of.hpp"
+#include "support/processes.hpp"
+
+namespace lot::testing {
+namespace {
+
+using namespace gateway;
+
+struct Shot {
+  std::uint32_t number = 0;
+  ShmString label;
+  ShmVector<std::uint8_t> pixels;
+};
+
+constexpr const char* kType = "lot::msg::dds_::Shot_";
+constexpr std::uint64_t kMost = 32 << 20;
+
+Entity writer_of(const Domain& domain, const CdrTopic& topic) {
+  dds_qos_t* const qos = dds_create_qos();
+  dds_qset_reliability(qos, DDS_RELIABILITY_RELIABLE, DDS_SECS(10));
+  dds_qset_history(qos, DDS_HISTORY_KEEP_ALL, 0);
+  Entity writer(dds_create_writer(domain.participant(), topic.get(), qos, nullptr), "writer", "");
+  dds_delete_qos(qos);
+  return writer;
+}
+
+Entity reader_of(const Domain& domain, const CdrTopic& topic) {
+  dds_qos_t* const qos = dds_create_qos();
+  dds_qset_reliability(qos, DDS_RELIABILITY_RELIABLE, DDS_SECS(10));
+  dds_qset_history(qos, DDS_HISTORY_KEEP_ALL, 0);
+  Entity reader(dds_create_reader(domain.participant(), topic.get(), qos, nullptr), "reader", "");
+  dds_delete_qos(qos);
+  return reader;
+}
+
+void wait_for_match(const Entity& writer, std::uint32_t readers = 1) {
+  dds_publication_matched_status_t status{};
+  do {
+    std::this_thread::sleep_for(5ms);
+    require(dds_get_publication_matched_status(writer.get(), &status), "writer", "look");
+  } while (status.current_count < readers);
+}
+
+CdrSample take(const Entity& reader) {
+  for (;;) {
+    ddsi_serdata* taken = nullptr;
+    dds_sample_info_t info{};
+    const dds_return_t count =
+        require(dds_takecdr(reader.get(), &taken, 1, &info, DDS_ANY_STATE), "reader", "take");
+    CdrSample sample(count == 1 ? taken : nullptr);
+    if (count == 1 && info.valid_data) return sample;
+    std::this_thread::sleep_for(1ms);
+  }
+}
+
+/// Two domains of this process, with a topic each.
+struct Pair {
+  Domain here{alone(1)};
+  Domain there{alone(2)};
+  CdrTopic out{here.participant(), "rt/shots", kType, kMost};
+  CdrTopic in{there.participant(), "rt/shots", kType, kMost};
+};
+
+TEST_SUITE_BEGIN("gateway");
+
+TEST_CASE("a message of any size comes through another domain as it was encoded") {
+  const Watchdog watchdog(110);
+  Pair pair;
+  const Entity writer = writer_of(pair.here, pair.out);
+  const Entity reader = reader_of(pair.there, pair.in);
+  wait_for_match(writer);
+  ShmEngine engine(fresh());
+  const AnyType type = AnyType::of<Shot>();
+  auto pusher = engine.advertise_any("/shots", type);
+  const codec::Program encoding(type.description());
+  const codec::Program decoding(pusher.type().description());
+  std::uint32_t number = 0;
+  for (const std::size_t size :
+       {0U, 1U, 2U, 3U, 4U, 100U, 1339U, 1340U, 70000U, 1U << 20, 16U << 20}) {
+    CAPTURE(size);
+    const auto shot = engine.make<Shot>();
+    shot->number = ++number;
+    shot->label = "shot";
+    for (std::size_t i = 0; i < size; ++i) {
+      shot->pixels.push_back(static_cast<std::uint8_t>(i * 7 + i / 251));
+    }
+    const AnyMessage sent(ShmSharedPtr<const Shot>(engine.make<Shot>(*shot)));
+    CdrSample sample = pair.out.sample(encoding, sent.root());
+    const std::vector<std::byte> bytes(sample.bytes().begin(), sample.bytes().end());
+    CHECK(bytes.size() % 4 == 0);
+    require(dds_writecdr(writer.get(), sample.release()), "writer", "write");
+    const CdrSample got = take(reader);
+    REQUIRE(got.bytes().size() == bytes.size());
+    CHECK(std::memcmp(got.bytes().data(), bytes.data(), bytes.size()) == 0);
+    AnyLoan loan = pusher.loan();
+    decode(decoding, got.bytes(), loan.root());
+    const AnyMessage made = std::move(loan).share();
+    const auto seen = made.as<Shot>();
+    REQUIRE(seen);
+    CHECK(seen->number == number);
+    CHECK(seen->label == "shot");
+    CHECK(seen->pixels == shot->pixels);
+  }
+}
+
+TEST_CASE("a sample that is larger than allowed is dropped and counted") {
+  const Watchdog watchdog(60);
+  Pair pair;
+  constexpr std::uint64_t kSmall = 1000;
+  const CdrTopic strict(pair.there.participant(), "rt/shots", kType, kSmall);
+  const Entity writer = writer_of(pair.here, pair.out);
+  const Entity reader = reader_of(pair.there, strict);
+  wait_for_match(writer);
+  const std::vector<std::byte> large(2000, std::byte{1});
+  const std::vector<std::byte> small(kSmall, std::byte{2});
+  require(dds_writecdr(writer.get(), pair.out.sample(Bytes(large.data(), large.size())).release()),
+          "writer", "write");
+  require(dds_writecdr(writer.get(), pair.out.sample(Bytes(small.data(), small.size())).release()),
+          "writer", "write");
+  const CdrSample got = take(reader);
+  CHECK(got.bytes().size() == kSmall);
+  CHECK(got.bytes().data()[kSmall - 1] == std::byte{2});
+  CHECK(strict.too_large() == 1);
+}
+
+TEST_CASE("a sample outlives its reader, topic and domain") {
+  const Watchdog watchdog(60);
+  CdrSample kept;
+  {
+    Pair pair;
+    const Entity writer = writer_of(pair.here, pair.out);
+    const Entity reader = reader_of(pair.there, pair.in);
+    wait_for_match(writer);
+    const std::vector<std::byte> bytes(100, std::byte{3});
+    require(dds_writecdr(writer.get(), pair.out.sample(Bytes(bytes.data(), 100)).release()),
+            "writer", "write");
+    kept = take(reader);
+  }
+  CHECK(kept.bytes().size() == 100);
+  CHECK(kept.bytes().data()[99] == std::byte{3});
+}
+
+TEST_CASE("a name that DDS does not allow is an error that says so") {
+  const Watchdog watchdog(60);
+  const Domain domain(alone(1));
+  CHECK(error_of([&] { CdrTopic(domain.participant(), "no name?", kType, kMost); }).first ==
+        EINVAL);
+}
+
+TEST_SUITE_END();
+
+}  // namespace
+}  // namespace lot::testing
