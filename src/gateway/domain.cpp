@@ -1,7 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "gateway/domain.hpp"
 
+#include <cstdio>
 #include <cstdlib>
+#include <mutex>
+#include <string_view>
+
+#include <dds/ddsrt/log.h>
+
+#include "lot/detail/mutex.hpp"
+
+#include "gateway/rate_limit.hpp"
 
 namespace lot::gateway {
 namespace {
@@ -55,9 +64,43 @@ std::string configuration(const DomainSettings& settings) {
   return all;
 }
 
+/// What CycloneDDS logs goes to standard error: so many lines a second, since the network can make
+/// it log.
+class Log {
+ public:
+  static void write(void* self, const dds_log_data_t* line) noexcept {
+    static_cast<Log*>(self)->add({line->message, line->size});
+  }
+
+ private:
+  void add(std::string_view line) noexcept {
+    const std::lock_guard guard(mutex_);
+    if (!rate_.allows(RateLimit::Clock::now())) {
+      ++left_out_;
+      return;
+    }
+    if (left_out_ != 0) std::fprintf(stderr, "CycloneDDS: %lu lines left out\n", left_out_);
+    left_out_ = 0;
+    std::fprintf(stderr, "CycloneDDS: %.*s", static_cast<int>(line.size()), line.data());
+  }
+
+  static constexpr double kLinesASecond = 5;
+
+  detail::Mutex mutex_{detail::Rank::Gateway};
+  RateLimit rate_{kLinesASecond};
+  unsigned long left_out_ = 0;
+};
+
+/// As long as the process: CycloneDDS may log until its last thread has ended.
+Log& log_of_process() {
+  static auto* const log = new Log;
+  return *log;
+}
+
 }  // namespace
 
 Domain::Domain(const DomainSettings& settings) {
+  dds_set_log_sink(Log::write, &log_of_process());
   const std::string name = "DDS domain " + std::to_string(settings.id);
   domain_ = Entity(dds_create_domain(settings.id, configuration(settings).c_str()), name,
                    "join the domain");

@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <mutex>
+#include <string>
+
+#include "lot/detail/mutex.hpp"
+
+namespace lot::gateway {
+
+/// What became of a route's messages.
+struct Counts {
+  std::uint64_t carried = 0;
+  std::uint64_t bytes = 0;    ///< of CDR, of those
+  std::uint64_t missed = 0;   ///< overwritten before the route looked
+  std::uint64_t before = 0;   ///< pushed before the route knew their publisher
+  std::uint64_t lost = 0;     ///< DDS, or the segment, had no room; or the network lost them
+  std::uint64_t refused = 0;  ///< by a limit, or of another type
+  std::uint64_t damaged = 0;  ///< could not be encoded, or decoded
+  std::uint64_t looped = 0;   ///< were a gateway's own
+  bool has_ended = false;     ///< the route does nothing more: its topic has gone, or changed
+  std::string error;          ///< the last one
+};
+
+/// Counts, while the route's thread works and others look.
+///
+/// Threads: all members may be called at once.
+/// Errors:  std::bad_alloc of went_wrong() and told().
+class Tally {
+ public:
+  void add(std::uint64_t Counts::*count, std::uint64_t n = 1) {
+    const std::lock_guard guard(mutex_);
+    counts_.*count += n;
+  }
+  void carried(std::uint64_t bytes) {
+    const std::lock_guard guard(mutex_);
+    ++counts_.carried;
+    counts_.bytes += bytes;
+  }
+  void went_wrong(const char* what) {
+    const std::lock_guard guard(mutex_);
+    counts_.error = what;
+  }
+  void ended() {
+    const std::lock_guard guard(mutex_);
+    counts_.has_ended = true;
+  }
+  Counts told() const {
+    const std::lock_guard guard(mutex_);
+    return counts_;
+  }
+
+ private:
+  mutable detail::Mutex mutex_{detail::Rank::Gateway};
+  Counts counts_;
+};
+
+}  // namespace lot::gateway

@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "gateway/incoming.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <chrono>
+#include <exception>
+#include <new>
+#include <string_view>
+#include <utility>
+
+#include "lot/error.hpp"
+
+#include "codec/decode.hpp"
+#include "gateway/names.hpp"
+#include "gateway/peer.hpp"
+#include "gateway/quality.hpp"
+#include "gateway/thread.hpp"
+
+namespace lot::gateway {
+namespace {
+
+/// So many samples are taken at once.
+constexpr std::size_t kAtOnce = 16;
+/// What the wait says of the guard condition.
+constexpr dds_attach_t kStop = 1;
+
+/// The user data of a writer that the reader has met. Empty: it has gone, or has none.
+std::string user_data_of_writer(dds_entity_t reader, dds_instance_handle_t writer) {
+  dds_builtintopic_endpoint_t* const endpoint = dds_get_matched_publication_data(reader, writer);
+  if (endpoint == nullptr) return "";
+  std::string text = user_data_in(endpoint->qos);
+  dds_builtintopic_free_endpoint(endpoint);
+  return text;
+}
+
+}  // namespace
+
+IncomingRoute::IncomingRoute(ShmEngine& engine, const Domain& domain, IncomingTopic what,
+                             const RouteSettings& settings)
+    : engine_(engine),
+      what_(std::move(what)),
+      settings_(settings),
+      stream_(what_.topic, what_.type),
+      cdr_(domain.participant(), what_.dds_topic, dds_type_of(stream_.schema.name), what_.max_size),
+      stopping_(dds_create_guardcondition(domain.participant()), what_.dds_topic,
+                "make a condition"),
+      rate_(settings_.limits.max_rate) {
+  const Qos qos = qos_of(settings_.quality, "");
+  reader_ = Entity(dds_create_reader(domain.participant(), cdr_.get(), qos.get(), nullptr),
+                   what_.dds_topic, "make a reader");
+  constexpr std::uint32_t kNews =
+      DDS_DATA_AVAILABLE_STATUS | DDS_SUBSCRIPTION_MATCHED_STATUS | DDS_SAMPLE_LOST_STATUS;
+  require(dds_set_status_mask(reader_.get(), kNews), what_.dds_topic, "choose what wakes");
+  waiting_ = Entity(dds_create_waitset(domain.participant()), what_.dds_topic, "make a wait set");
+  require(dds_waitset_attach(waiting_.get(), reader_.get(), 0), what_.dds_topic, "wait for it");
+  require(dds_waitset_attach(waiting_.get(), stopping_.get(), kStop), what_.dds_topic,
+          "wait for the end");
+  thread_ = begin_thread("lot-in", what_.topic, [this] { run(); });
+}
+
+void IncomingRoute::end() noexcept {
+  dds_set_guardcondition(stopping_.get(), true);
+  if (thread_.joinable()) thread_.join();
+}
+
+Counts IncomingRoute::told() const {
+  Counts counts = tally_.told();
+  counts.refused += cdr_.too_large();
+  return counts;
+}
+
+void IncomingRoute::run() noexcept {
+  for (;;) {
+    std::array<dds_attach_t, 2> woken{};
+    const dds_return_t count =
+        dds_waitset_wait(waiting_.get(), woken.data(), woken.size(), DDS_INFINITY);
+    for (std::size_t i = 0; i < woken.size() && std::cmp_less(i, count); ++i) {
+      if (woken[i] == kStop) return take_the_rest();
+    }
+    try {
+      look_at_writers();
+      while (take_some()) {
+      }
+    } catch (const std::exception& e) {
+      note(e);
+      dds_sleepfor(DDS_MSECS(10));  // what is left is taken in the next round
+    }
+  }
+}
+
+void IncomingRoute::take_the_rest() noexcept {
+  try {
+    for (std::uint32_t left = settings_.quality.depth; left != 0; --left) {
+      if (!take_some()) return;
+    }
+  } catch (const std::exception& e) {
+    note(e);
+  }
+}
+
+void IncomingRoute::note(const std::exception& error) noexcept try {
+  tally_.went_wrong(error.what());
+  const auto* const known = dynamic_cast<const Error*>(&error);
+  const bool is_another =
+      known != nullptr && (known->error_number() == ESTALE || known->error_number() == EPROTOTYPE);
+  if (is_another) tally_.ended();
+} catch (const std::exception&) {
+  // There is not even memory to say so.
+}
+
+void IncomingRoute::look_at_writers() {
+  dds_sample_lost_status_t lost{};
+  require(dds_get_sample_lost_status(reader_.get(), &lost), what_.dds_topic, "count what is lost");
+  tally_.add(&Counts::lost, static_cast<std::uint64_t>(lost.total_count_change));
+  dds_subscription_matched_status_t matched{};
+  require(dds_get_subscription_matched_status(reader_.get(), &matched), what_.dds_topic,
+          "look for writers");
+  if (matched.total_count_change == 0 && matched.current_count_change == 0) return;
+  writers_.clear();
+  if (matched.current_count != 0) return;
+  while (take_some()) {
+  }
+  publishing_.reset();
+}
+
+bool IncomingRoute::take_some() {
+  std::array<ddsi_serdata*, kAtOnce> taken{};
+  std::array<dds_sample_info_t, kAtOnce> infos{};
+  const dds_return_t count =
+      require(dds_takecdr(reader_.get(), taken.data(), kAtOnce, infos.data(), DDS_ANY_STATE),
+              what_.dds_topic, "take samples");
+  std::array<CdrSample, kAtOnce> samples;
+  for (std::size_t i = 0; i < kAtOnce; ++i) samples[i] = CdrSample(taken[i]);
+  for (std::size_t i = 0; std::cmp_less(i, count); ++i) {
+    if (infos[i].valid_data) carry(samples[i], infos[i].publication_handle);
+  }
+  return count != 0;
+}
+
+IncomingRoute::Writer IncomingRoute::judged(dds_instance_handle_t writer) {
+  const auto found = writers_.find(writer);
+  if (found != writers_.end()) return found->second;
+  const Writer its = judge(writer);
+  writers_.emplace(writer, its);
+  return its;
+}
+
+IncomingRoute::Writer IncomingRoute::judge(dds_instance_handle_t writer) const try {
+  const std::optional<Peer> peer = peer_of(user_data_of_writer(reader_.get(), writer));
+  if (!peer) return Writer::IsCarried;
+  if (peer->segment == what_.place) return Writer::IsOfThisSegment;
+  const bool is_another = peer->type && !peer->type.is_same(what_.type);
+  return is_another ? Writer::IsOfAnotherType : Writer::IsCarried;
+} catch (const Error&) {
+  return Writer::IsOfAnotherType;  // it says a type that can be none
+}
+
+void IncomingRoute::carry(const CdrSample& sample, dds_instance_handle_t writer) {
+  const Writer its = judged(writer);
+  if (its == Writer::IsOfThisSegment) return tally_.add(&Counts::looped);
+  if (its == Writer::IsOfAnotherType) return tally_.add(&Counts::refused);
+  if (!rate_.allows(RateLimit::Clock::now())) return tally_.add(&Counts::refused);
+  try {
+    begin_to_publish();
+    AnyLoan loan = publishing_->pusher.loan();
+    decode(publishing_->program, sample.bytes(), loan.root());
+    (void)publishing_->pusher.push(std::move(loan));  // under Overwrite it is always Status::Ok
+    tally_.carried(sample.bytes().size());
+  } catch (const OutOfMemory& e) {
+    tally_.add(&Counts::lost);
+    tally_.went_wrong(e.what());
+  } catch (const Error& e) {
+    const bool is_its_bytes =
+        e.error_number() == EBADMSG || e.error_number() == ENOTSUP || e.error_number() == ERANGE;
+    tally_.add(is_its_bytes ? &Counts::damaged : &Counts::refused);
+    note(e);
+  }
+}
+
+void IncomingRoute::begin_to_publish() {
+  if (publishing_) return;
+  PusherOptions options;
+  options.depth = std::max(options.depth, settings_.quality.depth);
+  options.max_bytes =
+      settings_.limits.max_bytes != 0 ? settings_.limits.max_bytes : what_.most_bytes;
+  AnyPusher pusher = engine_.advertise_any(what_.topic, what_.type, options);
+  codec::Program program(pusher.type().description());
+  publishing_.emplace(Publishing{std::move(pusher), std::move(program)});
+}
+
+}  // namespace lot::gateway

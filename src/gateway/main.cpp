@@ -1,0 +1,177 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <map>
+#include <new>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "lot/detail/core.hpp"
+#include "lot/error.hpp"
+#include "lot/options.hpp"
+#include "lot/signals.hpp"
+
+#include "gateway/keeper.hpp"
+#include "gateway/settings.hpp"
+#include "gateway/settings_file.hpp"
+#include "transport/participant.hpp"
+
+namespace {
+
+using namespace lot::gateway;
+
+constexpr const char* kFooter =
+    "Signals:\n"
+    "  SIGINT, SIGTERM  ends, and says what was carried\n"
+    "  SIGHUP           reads the file again: its topics count from then on\n"
+    "  SIGUSR1          says what was carried until now\n"
+    "\n"
+    "CYCLONEDDS_URI: further settings of CycloneDDS, which come before all others.";
+
+volatile std::sig_atomic_t change_was_asked = 0;
+volatile std::sig_atomic_t report_was_asked = 0;
+void ask_for_change(int) { change_was_asked = 1; }
+void ask_for_report(int) { report_was_asked = 1; }
+
+struct Arguments {
+  std::vector<std::string> out;
+  std::vector<std::string> in;
+  std::string file;
+  std::string segment;
+  int domain = -1;
+  std::string interface;
+};
+
+/// What the command line and the file say together: the command line comes first.
+Settings settings_of(const Arguments& arguments) {
+  Settings settings;
+  for (const bool is_out : {true, false}) {
+    for (const std::string& topics : is_out ? arguments.out : arguments.in) {
+      RouteSettings row;
+      row.topics = topics;
+      (is_out ? settings.out : settings.in).push_back(std::move(row));
+    }
+  }
+  if (!arguments.file.empty()) read_settings(arguments.file, settings);
+  if (arguments.domain >= 0) settings.domain.id = static_cast<std::uint32_t>(arguments.domain);
+  if (!arguments.interface.empty()) settings.domain.interface = arguments.interface;
+  return settings;
+}
+
+void say(const std::string& text) { std::fprintf(stderr, "lot_gateway: %s\n", text.c_str()); }
+
+/// Says on standard error what is new in a report.
+class News {
+ public:
+  void tell(const Report& now) {
+    for (const Report::Route& route : now.routes) {
+      const std::string name = (route.is_out ? "out " : "in ") + route.topic;
+      bool& was_there = there_[name];
+      if (route.is_there != was_there) {
+        say(name + (route.is_there ? (route.is_out ? " -> " : " <- ") + route.dds_topic
+                                   : std::string(": ended")));
+      }
+      was_there = route.is_there;
+      tell_error(name, route.counts.error);
+    }
+    for (const auto& [topic, why] : now.refused) tell_error(topic, why);
+    tell_error("", now.error);
+  }
+
+ private:
+  void tell_error(const std::string& about, const std::string& what) {
+    std::string& last = errors_[about];
+    if (what != last && !what.empty()) say(what);
+    last = what;
+  }
+
+  std::map<std::string, bool> there_;
+  std::map<std::string, std::string> errors_;
+};
+
+void print(const Report& report) {
+  std::printf("%-4s %10s %14s %8s %8s %8s %8s %8s %8s  %s\n", "", "carried", "bytes", "missed",
+              "before", "lost", "refused", "damaged", "looped", "topic");
+  for (const Report::Route& route : report.routes) {
+    const Counts& c = route.counts;
+    std::printf("%-4s %10lu %14lu %8lu %8lu %8lu %8lu %8lu %8lu  %s\n", route.is_out ? "out" : "in",
+                c.carried, c.bytes, c.missed, c.before, c.lost, c.refused, c.damaged, c.looped,
+                route.topic.c_str());
+  }
+  std::fflush(stdout);
+}
+
+int work(const Arguments& arguments) {
+  std::signal(SIGPIPE, SIG_IGN);
+  std::signal(SIGHUP, ask_for_change);
+  std::signal(SIGUSR1, ask_for_report);
+  const lot::StopToken stop = lot::stop_on_signals();
+  lot::EngineOptions where;
+  where.name = kProcessName;
+  News news;
+  Keeper keeper(settings_of(arguments), [where] { return lot::detail::join(where); });
+  while (!stop.stop_requested()) {
+    if (change_was_asked != 0) {
+      change_was_asked = 0;
+      try {
+        const Settings changed = settings_of(arguments);
+        keeper.change(changed.out, changed.in);
+      } catch (const lot::Error& e) {
+        say(e.what());  // the earlier ones stay
+      }
+    }
+    keeper.step();
+    const Report report = keeper.told();
+    news.tell(report);
+    if (report_was_asked != 0) {
+      report_was_asked = 0;
+      print(report);
+    }
+  }
+  print(keeper.end());
+  return 0;
+}
+
+int run(int argc, char** argv) {
+  CLI::App app{"Carries topics between a LOT segment and a DDS domain, as ROS 2 names them",
+               "lot_gateway"};
+  Arguments arguments;
+  app.add_option("--out", arguments.out, "topics of the segment that go out: a name or a pattern")
+      ->type_name("TOPICS");
+  app.add_option("--in", arguments.in, "topics of the domain that come in")->type_name("TOPICS");
+  app.add_option("--config", arguments.file, "a file of YAML, with topics and more")
+      ->type_name("FILE")
+      ->check(CLI::ExistingFile);
+  app.add_option("--domain", arguments.domain, "the DDS domain; 0, if it is not said")
+      ->check(CLI::Range(0, 232));
+  app.add_option("--interface", arguments.interface, "a network interface: its name, or address");
+  app.add_option("-s,--segment", arguments.segment, "the segment (LOT_SEGMENT)")->type_name("NAME");
+  app.set_version_flag("--version", "lot_gateway " LOT_VERSION);
+  app.footer(kFooter);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? 0 : 2;
+  }
+  if (arguments.out.empty() && arguments.in.empty() && arguments.file.empty()) {
+    say("which topics? --out TOPICS, --in TOPICS, or --config FILE");
+    return 2;
+  }
+  if (!arguments.segment.empty()) setenv("LOT_SEGMENT", arguments.segment.c_str(), 1);
+  return work(arguments);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  try {
+    return run(argc, argv);
+  } catch (const std::exception& e) {
+    say(e.what());
+    return 1;
+  }
+}

@@ -1,0 +1,149 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "gateway/settings_file.hpp"
+
+#include <cerrno>
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <fstream>
+#include <limits>
+
+#include <yaml-cpp/yaml.h>
+
+#include "lot/error.hpp"
+
+namespace lot::gateway {
+namespace {
+
+constexpr double kMiB = 1 << 20;
+
+/// Reads the nodes of one file.
+class File {
+ public:
+  explicit File(std::string name) : name_(std::move(name)) {}
+
+  void read(Settings& settings) const {
+    const YAML::Node all = load();
+    if (all.IsNull()) return;  // an empty file
+    require_map(all);
+    for (const auto& entry : all) {
+      const auto key = text(entry.first);
+      if (key == "domain") {
+        settings.domain.id = static_cast<std::uint32_t>(number(entry.second, 0, 232));
+      } else if (key == "interface") {
+        settings.domain.interface = text(entry.second);
+      } else if (key == "max_size_mib") {
+        settings.domain.max_size = mebibytes(entry.second, 2047);
+      } else if (key == "most_incoming") {
+        settings.most_incoming = static_cast<std::size_t>(number(entry.second, 0, 1000));
+      } else if (key == "out" || key == "in") {
+        rows(entry.second, key == "out" ? settings.out : settings.in);
+      } else {
+        refuse(entry.first, "there is no setting " + key);
+      }
+    }
+  }
+
+ private:
+  [[noreturn]] void refuse(const YAML::Node& where, const std::string& why) const {
+    refuse_at(where.Mark(), why);
+  }
+  [[noreturn]] void refuse_at(const YAML::Mark& mark, const std::string& why) const {
+    throw Error(EINVAL, name_ + ":" + std::to_string(mark.line + 1), why, "");
+  }
+
+  YAML::Node load() const {
+    std::ifstream in(name_);
+    if (!in) throw Error(errno, name_, "the file can not be read", "");
+    try {
+      return YAML::Load(in);
+    } catch (const YAML::Exception& e) {
+      refuse_at(e.mark, e.msg);
+    }
+  }
+
+  void require_map(const YAML::Node& node) const {
+    if (!node.IsMap()) refuse(node, "here belong settings, one a line: name: value");
+  }
+  std::string text(const YAML::Node& node) const {
+    if (!node.IsScalar() || node.Scalar().empty()) refuse(node, "here belongs a text");
+    return node.Scalar();
+  }
+  double number(const YAML::Node& node, double least, double most) const {
+    double value = std::numeric_limits<double>::quiet_NaN();
+    if (node.IsScalar() && YAML::convert<double>::decode(node, value) && value >= least &&
+        value <= most) {
+      return value;
+    }
+    refuse(node, "here belongs a number from " + std::to_string(std::llround(least)) + " to " +
+                     std::to_string(std::llround(most)));
+  }
+  std::uint64_t mebibytes(const YAML::Node& node, double most) const {
+    return static_cast<std::uint64_t>(number(node, 0, most) * kMiB);
+  }
+
+  void rows(const YAML::Node& node, std::vector<RouteSettings>& into) const {
+    if (!node.IsSequence()) refuse(node, "here belongs a list of topics");
+    for (const YAML::Node& row : node) {
+      if (row.IsScalar()) {
+        RouteSettings settings;
+        settings.topics = text(row);
+        into.push_back(std::move(settings));
+      } else {
+        into.push_back(route(row));
+      }
+    }
+  }
+
+  RouteSettings route(const YAML::Node& node) const {
+    require_map(node);
+    RouteSettings settings;
+    Quality& quality = settings.quality;
+    for (const auto& entry : node) {
+      const auto key = text(entry.first);
+      const YAML::Node& value = entry.second;
+      if (key == "topics") {
+        settings.topics = text(value);
+      } else if (key == "dds_topic") {
+        settings.dds_topic = text(value);
+      } else if (key == "reliability") {
+        quality.reliability = reliability(value);
+      } else if (key == "durability") {
+        quality.durability = durability(value);
+      } else if (key == "depth") {
+        quality.depth = static_cast<std::uint32_t>(number(value, 1, 10000));
+      } else if (key == "deadline_ms") {
+        quality.deadline = std::chrono::duration<double, std::milli>(number(value, 0, 1e9));
+      } else if (key == "max_rate") {
+        settings.limits.max_rate = number(value, 0, 1e9);
+      } else if (key == "max_memory_mib") {
+        settings.limits.max_bytes = mebibytes(value, 1e6);
+      } else {
+        refuse(entry.first, "there is no setting " + key + " of a topic");
+      }
+    }
+    if (settings.topics.empty()) refuse(node, "the topics are missing: topics: NAME");
+    return settings;
+  }
+
+  Reliability reliability(const YAML::Node& node) const {
+    const std::string word = text(node);
+    if (word == "reliable") return Reliability::Reliable;
+    if (word == "best_effort") return Reliability::BestEffort;
+    refuse(node, word + " is neither reliable nor best_effort");
+  }
+  Durability durability(const YAML::Node& node) const {
+    const std::string word = text(node);
+    if (word == "volatile") return Durability::Volatile;
+    if (word == "transient_local") return Durability::TransientLocal;
+    refuse(node, word + " is neither volatile nor transient_local");
+  }
+
+  const std::string name_;
+};
+
+}  // namespace
+
+void read_settings(const std::string& file, Settings& settings) { File(file).read(settings); }
+
+}  // namespace lot::gateway

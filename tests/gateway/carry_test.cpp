@@ -1,0 +1,316 @@
+// SPDX-License-Identifier: Apache-2.0
+
+// lot_gateway between two segments of this machine, by the loopback interface.
+
+#include <chrono>
+#include <cstdint>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include <doctest/doctest.h>
+
+#include "lot/lot.hpp"
+
+#include "gateway/program.hpp"
+#include "support/processes.hpp"
+
+namespace lot::testing {
+namespace {
+
+struct Note {
+  std::uint64_t number = 0;
+  ShmString text;
+  ShmVector<double> values;
+};
+
+struct Order {
+  std::uint64_t number = 0;
+};
+
+struct Host {
+  EngineOptions where = fresh();
+  ShmEngine engine{where};
+};
+
+/// A file of settings.
+struct File {
+  explicit File(const std::string& text) { write_file(path, text); }
+  Directory directory;
+  std::string path = directory.file("gateway.yaml");
+};
+
+/// All that its queues have, and the first of them that is there in time.
+template <class T, class Visit>
+bool pull_first(ShmPuller<T>& puller, Visit&& visit) {
+  const auto message = puller.pull(20s);
+  if (message) visit(*message);
+  return static_cast<bool>(message);
+}
+
+/// Pushes messages with the number 0 until one comes through.
+template <class T>
+void wait_until_carried(ShmPusher<T>& from, ShmPuller<T>& to) {
+  REQUIRE(eventually(
+      [&] {
+        (void)from.push(from.loan());
+        return static_cast<bool>(to.pull(20ms));
+      },
+      30s));
+}
+
+/// The next message with a number.
+template <class T>
+ShmSharedPtr<const T> next_numbered(ShmPuller<T>& puller) {
+  for (;;) {
+    auto message = puller.pull(20s);
+    if (!message || message->number != 0) return message;
+  }
+}
+
+void push_note(ShmPusher<Note>& pusher, std::uint64_t number) {
+  auto note = pusher.loan();
+  note->number = number;
+  note->text = "note " + std::to_string(number);
+  note->values.resize(number % 1000);
+  for (std::size_t i = 0; i < note->values.size(); ++i) {
+    note->values[i] = static_cast<double>(number + i);
+  }
+  REQUIRE(pusher.push(std::move(note)) == Status::Ok);
+}
+
+void check_note(const Note& note, std::uint64_t number) {
+  CHECK(note.number == number);
+  CHECK(std::string(note.text) == "note " + std::to_string(number));
+  REQUIRE(note.values.size() == number % 1000);
+  for (std::size_t i = 0; i < note.values.size(); ++i) {
+    CHECK(note.values[i] == static_cast<double>(number + i));
+  }
+}
+
+TEST_SUITE_BEGIN("gateway");
+
+TEST_CASE("messages of one segment come into another one, whole and in their order") {
+  const Watchdog watchdog(110);
+  Host a;
+  Host b;
+  const File file(
+      "out:\n  - {topics: /notes, depth: 1000}\nin:\n  - {topics: /notes, depth: 1000}");
+  auto pusher = a.engine.advertise<Note>("/notes");
+  auto puller = b.engine.subscribe<Note>("/notes");
+  Gateway out(a.where, {"--config", file.path});
+  Gateway in(b.where, {"--config", file.path});
+  wait_until_carried(pusher, puller);
+  constexpr std::uint64_t kNotes = 500;
+  for (std::uint64_t i = 1; i <= kNotes; ++i) {
+    push_note(pusher, i);
+    if (i % 16 == 0) std::this_thread::sleep_for(2ms);
+  }
+  for (std::uint64_t i = 1; i <= kNotes; ++i) {
+    const auto note = next_numbered(puller);
+    REQUIRE(note);
+    check_note(*note, i);
+  }
+  const auto sent = out.end()["out /notes"];
+  const auto got = in.end()["in /notes"];
+  CHECK(out.exit() == 0);
+  CHECK(in.exit() == 0);
+  CHECK(sent.carried >= kNotes);
+  CHECK(got.carried >= kNotes);
+  CHECK(sent.missed + sent.damaged + got.damaged + got.refused + got.lost == 0);
+}
+
+TEST_CASE("a gateway takes the type of a topic from the gateway of the other segment") {
+  const Watchdog watchdog(60);
+  Host a;
+  Host b;
+  auto pusher = a.engine.advertise<Note>("/notes");
+  Gateway in(b.where, {"--in", "/n*"});
+  Gateway out(a.where, {"--out", "/n*"});
+  REQUIRE(eventually(
+      [&] {
+        push_note(pusher, 7);
+        return static_cast<bool>(b.engine.type_of("/notes"));
+      },
+      30s));
+  auto puller = b.engine.subscribe<Note>("/notes");
+  push_note(pusher, 7);
+  REQUIRE(pull_first(puller, [](const Note& note) { check_note(note, 7); }));
+}
+
+TEST_CASE("no message comes back, or twice, where both gateways carry everything both ways") {
+  const Watchdog watchdog(110);
+  Host a;
+  Host b;
+  const std::vector<std::string> everything = {"--out", "/*", "--in", "/*"};
+  auto orders_a = a.engine.advertise<Order>("/orders");
+  auto orders_b = b.engine.advertise<Order>("/orders");
+  auto seen_a = a.engine.subscribe<Order>("/orders");
+  auto seen_b = b.engine.subscribe<Order>("/orders");
+  Gateway one(a.where, everything);
+  Gateway other(b.where, everything);
+  Gateway second_in(a.where, {"--in", "/orders"});
+  const auto until_carried = [](auto& from, auto& to, std::uint64_t number) {
+    return eventually(
+        [&] {
+          auto order = from.loan();
+          order->number = number;
+          (void)from.push(std::move(order));
+          for (auto seen = to.pull(20ms); seen; seen = to.try_pull()) {
+            if (seen->number == number) return true;
+          }
+          return false;
+        },
+        30s);
+  };
+  REQUIRE(until_carried(orders_a, seen_b, 1));
+  REQUIRE(until_carried(orders_b, seen_a, 2));
+  std::this_thread::sleep_for(300ms);  // what loops goes around meanwhile
+  while (seen_a.try_pull()) {
+  }
+  while (seen_b.try_pull()) {
+  }
+  constexpr std::uint64_t kFirst = 100;
+  constexpr std::uint64_t kLast = 120;
+  for (std::uint64_t i = kFirst; i <= kLast; ++i) {
+    for (auto* pusher : {&orders_a, &orders_b}) {
+      auto order = pusher->loan();
+      order->number = i;
+      REQUIRE(pusher->push(std::move(order)) == Status::Ok);
+    }
+    std::this_thread::sleep_for(5ms);
+  }
+  std::this_thread::sleep_for(500ms);
+  for (auto* puller : {&seen_a, &seen_b}) {
+    std::vector<int> times(kLast + 1);
+    while (const auto seen = puller->try_pull()) ++times[seen->number];
+    for (std::uint64_t i = kFirst; i <= kLast; ++i) {
+      CAPTURE(i);
+      // Its own segment's, and the other one's. second_in brings the other one's a second time.
+      CHECK(times[i] == (puller == &seen_a ? 3 : 2));
+    }
+  }
+}
+
+TEST_CASE("a gateway that was killed is started again, and goes on") {
+  const Watchdog watchdog(110);
+  Host a;
+  Host b;
+  auto pusher = a.engine.advertise<Note>("/notes");
+  auto puller = b.engine.subscribe<Note>("/notes");
+  Gateway out(a.where, {"--out", "/notes"});
+  Gateway in(b.where, {"--in", "/notes"});
+  wait_until_carried(pusher, puller);
+  for (const bool is_out : {true, false}) {
+    CAPTURE(is_out);
+    Gateway& killed = is_out ? out : in;
+    killed.kill9();
+    push_note(pusher, 1);
+    killed = Gateway(is_out ? a.where : b.where, {is_out ? "--out" : "--in", "/notes"});
+    wait_until_carried(pusher, puller);
+    push_note(pusher, 5);
+    const auto note = next_numbered(puller);
+    REQUIRE(note);
+    check_note(*note, 5);
+  }
+  CHECK(out.end()["out /notes"].before != 0);
+}
+
+TEST_CASE("a latched topic reaches a gateway and a subscriber that come later") {
+  const Watchdog watchdog(60);
+  Host a;
+  Host b;
+  const File file("out:\n  - {topics: /map, durability: transient_local, depth: 1}");
+  auto pusher = a.engine.advertise<Note>("/map");
+  push_note(pusher, 3);
+  push_note(pusher, 4);
+  Gateway out(a.where, {"--config", file.path});
+  REQUIRE(out.says("out /map -> rt/map"));
+  Gateway in(b.where, {"--in", "/map"});
+  REQUIRE(eventually([&] { return static_cast<bool>(b.engine.type_of("/map")); }, 30s));
+  PullerOptions latched;
+  latched.history = 1;
+  auto puller = b.engine.subscribe<Note>("/map", latched);
+  REQUIRE(pull_first(puller, [](const Note& note) { check_note(note, 4); }));
+}
+
+TEST_CASE("a subscriber sees PublisherGone when the last publisher of the other segment has left") {
+  const Watchdog watchdog(60);
+  Host a;
+  Host b;
+  auto puller = b.engine.subscribe<Order>("/orders");
+  Gateway out(a.where, {"--out", "/orders"});
+  Gateway in(b.where, {"--in", "/orders"});
+  {
+    auto pusher = a.engine.advertise<Order>("/orders");
+    wait_until_carried(pusher, puller);
+  }
+  bool has_gone = false;
+  while (!has_gone) {
+    const auto order = puller.pull(20s);
+    has_gone = puller.status() == Status::PublisherGone;
+    REQUIRE((order || has_gone));
+  }
+  auto pusher = a.engine.advertise<Order>("/orders");
+  wait_until_carried(pusher, puller);
+}
+
+TEST_CASE("what comes in too often is refused and counted") {
+  const Watchdog watchdog(60);
+  Host a;
+  Host b;
+  const File file("in:\n  - {topics: /orders, max_rate: 5}");
+  auto pusher = a.engine.advertise<Order>("/orders");
+  auto puller = b.engine.subscribe<Order>("/orders");
+  Gateway out(a.where, {"--out", "/orders"});
+  Gateway in(b.where, {"--config", file.path});
+  wait_until_carried(pusher, puller);
+  for (int i = 0; i < 100; ++i) {
+    (void)pusher.push(pusher.loan());
+    std::this_thread::sleep_for(1ms);
+  }
+  CHECK(eventually([&] { return in.look()["in /orders"].refused != 0; }));
+  const Line line = in.end()["in /orders"];
+  CHECK(line.carried < 100);
+}
+
+TEST_CASE("a topic that is of another type there is not carried, and the gateway says so") {
+  const Watchdog watchdog(60);
+  Host a;
+  Host b;
+  auto pusher = a.engine.advertise<Note>("/notes");
+  auto puller = b.engine.subscribe<Order>("/notes");
+  Gateway out(a.where, {"--out", "/notes"});
+  Gateway in(b.where, {"--in", "/notes"});
+  INFO(out.said(), in.said());
+  REQUIRE(in.says("lot_testing_anonymous_namespace::msg::dds_::Note_"));
+  push_note(pusher, 1);
+  CHECK(in.end()["in /notes"].carried == 0);
+}
+
+TEST_CASE("SIGHUP reads the file again: topics come and go while it runs") {
+  const Watchdog watchdog(60);
+  Host a;
+  Host b;
+  const File file("out: [/notes]");
+  auto notes = a.engine.advertise<Note>("/notes");
+  auto orders = a.engine.advertise<Order>("/orders");
+  auto puller = b.engine.subscribe<Order>("/orders");
+  Gateway out(a.where, {"--config", file.path});
+  Gateway in(b.where, {"--in", "/orders"});
+  REQUIRE(out.says("out /notes -> rt/notes"));
+  write_file(file.path, "out: [/orders, {nonsense: 1}]");
+  out.send(SIGHUP);
+  REQUIRE(out.says("gateway.yaml:1: there is no setting nonsense of a topic"));
+  write_file(file.path, "out: [/orders]");
+  out.send(SIGHUP);
+  REQUIRE(out.says("out /orders -> rt/orders"));
+  REQUIRE(out.says("out /notes: ended"));
+  wait_until_carried(orders, puller);
+}
+
+TEST_SUITE_END();
+
+}  // namespace
+}  // namespace lot::testing
