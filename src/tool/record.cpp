@@ -194,7 +194,7 @@ class Record {
     say_what_is_missing(now);
     say_cut(now);
     for (const auto& refused : now.refused) {
-      if (said_.insert(refused.name).second) say("left out: " + refused.why);
+      if (said_.insert(refused.name).second) say(left_out_text(refused));
     }
     say_files(now);
     if (now.error != error_ && Clock::now() >= say_again_) {
@@ -203,6 +203,10 @@ class Record {
       say_again_ = Clock::now() + kSayErrorAgain;
     }
     show_how_it_goes(now);
+  }
+
+  static std::string left_out_text(const RecorderStatus::Refused& refused) {
+    return printable(refused.name, 200) + " is left out: " + refused.why;
   }
 
   void say_files(const RecorderStatus& now) {
@@ -353,6 +357,11 @@ class Record {
       report_.hint(printable(topic.name, 200) +
                    " is a topic of ROS: its messages are in the segment while a node of LOT in "
                    "another process subscribes to it, and else on ROS's own links");
+    }
+    for (const auto& refused : now.refused) {
+      report_.hint(left_out_text(refused));
+      const auto& named = options_.what.topics;
+      if (std::find(named.begin(), named.end(), refused.name) != named.end()) report_.ends(kWrong);
     }
     if (sum.messages == 0) tell_why_nothing(now);
     if (now.cut_messages != 0) {

@@ -36,6 +36,10 @@ bool says(const std::string& text, const std::string& what) {
 struct Other {
   std::uint64_t count = 0;
 };
+/// With a message of its own behind it, which no file of one topic can have.
+struct Pointer {
+  lot::ShmRef<const Other> to;
+};
 
 TEST_SUITE_BEGIN("record");
 
@@ -426,6 +430,28 @@ TEST_CASE("lot record --last without a trigger says what it kept, and ends with 
   CHECK(ran.exit == 0);
   CHECK(ran.out.find("no trigger came: 10 messages") != std::string::npos);
   CHECK(ran.err.find("held") == std::string::npos);  // no terminal, no line that is renewed
+}
+
+TEST_CASE("lot record names topics that it cannot record, and fails where one was asked for") {
+  const Watchdog watchdog(120);
+  Stage stage;
+  auto pusher = stage.engine.advertise<Pose>("/pose");
+  auto pointers = stage.engine.advertise<Pointer>("/pointer");
+  for (const bool is_named : {false, true}) {
+    const std::string file = stage.file() + (is_named ? ".named" : ".all");
+    const std::vector<std::string> topics = is_named ? std::vector<std::string>{"/pose", "/pointer"}
+                                                     : std::vector<std::string>{"--all"};
+    std::vector<std::string> words = {"record", "-o", file};
+    words.insert(words.end(), topics.begin(), topics.end());
+    Running recorder(on(stage.options, words));
+    REQUIRE(recorder.says("/pointer is left out"));
+    REQUIRE(recorder.says("writes"));
+    put(pusher, 1);
+    const Ran ran = recorder.interrupt();
+    CHECK(ran.exit == (is_named ? 1 : 0));
+    CHECK(says(ran.out, "/pointer is left out: "));
+    CHECK(!payloads(file).empty());
+  }
 }
 
 TEST_CASE("lot record on a terminal has a line that says how it goes") {
