@@ -50,6 +50,7 @@ std::string steady(std::string text, const std::string& room) {
   }
   const std::pair<const char*, const char*> kWords[] = {
       {R"((\n  \S[^\n]*  )\d{2,}(  +)(\d+ s|\d+ min)(  ))", "$1PID$2AGE$4"},
+      {R"(( processes \S+  +)(\d+ s|\d+ min)(  ))", "$1AGE$3"},
       {R"(, [0-9.]+ (KiB|MiB) taken from)", ", MEMORY taken from"},
       {R"((< \d+ s|\?|\d+ s)\n)", "AGE\n"},
       {R"x(("(seconds|at_most_seconds|since_unix|arrived_seconds)":)[0-9.e-]+)x", "$1TIME"},
@@ -77,8 +78,8 @@ struct Shown {
   const Room& room;
   tool::Settings settings{{room.path(), "", {}}, false};
 
-  std::string ls(tool::Exit exit = tool::kWell) const {
-    return ran([&] { return tool::ls(settings, std::chrono::milliseconds(0), false); }, exit);
+  std::string ls(tool::Exit exit = tool::kWell, bool each = false) const {
+    return ran([&] { return tool::ls(settings, std::chrono::milliseconds(0), each); }, exit);
   }
   std::string who(bool all = false, tool::Exit exit = tool::kWell) const {
     return ran([&] { return tool::who(settings, all); }, exit);
@@ -261,6 +262,18 @@ s  ROOM/s
   BEHIND  TOPIC  PUBLISHER  LAG  LOST
   3 third  /stamped  1 first  1 of 4
 )");
+  shown.settings.json = true;
+  CHECK(shown.ls() == R"(
+{"command":"ls","segments":[{"name":"s","path":"ROOM/s","condition":"sound","reason":"","bytes":12582912,"instance":HEX,"persist":false,"memory":{"used_bytes":4096,"held_back_bytes":0,"total_bytes":11137024,"taken_bytes":NUMBER},"blocks":{"used":2,"total":512},"processes":[{"index":1,"name":"first","pid":NUMBER,"since_unix":TIME,"alive":true,"bytes":256},
+{"index":2,"name":"second","pid":NUMBER,"since_unix":TIME,"alive":true,"bytes":0},
+{"index":3,"name":"third","pid":NUMBER,"since_unix":TIME,"alive":true,"bytes":256}],"topics":[{"name":"/stamped","type":"lot::testing::Letter","type_bytes":24,
+"publishers":[{"process":1,"channel":0,"gone":false,"engine":"ring","policy":"overwrite","to":"all","depth":4,"held":4,"unfinished":0,"published":6,"per_second":null,"per_second_below":null,"arrived":0,"arrived_seconds":TIME,"waits_for_room":false}],
+"subscribers":[{"process":2,"channel":0,"joining":false,"lag":0,"lost":0,"holds_back":false,"observes":true},{"process":3,"channel":0,"joining":false,"lag":0,"lost":0,"holds_back":false,"observes":false},{"process":3,"channel":0,"joining":false,"lag":1,"lost":0,"holds_back":false,"observes":false}]},
+{"name":"/nothing","type":"lot::testing::Letter","type_bytes":24,
+"publishers":[],
+"subscribers":[{"process":1,"channel":null,"joining":false,"lag":0,"lost":0,"holds_back":false,"observes":false},{"process":2,"channel":null,"joining":false,"lag":0,"lost":0,"holds_back":false,"observes":true}]}],"damage":[]}],
+"hints":[],"exit":0}
+)");
 }
 
 TEST_CASE("lot ls and lot who of queues, whose putters wait and whose workers have items") {
@@ -331,6 +344,21 @@ s  ROOM/s
   1 worker  full  3 waits  1 of 1
 
 * publisher 3 waits on full waits for room until 1 worker has looked
+)");
+  shown.settings.json = true;
+  CHECK(shown.ls() == R"(
+{"command":"ls","segments":[{"name":"s","path":"ROOM/s","condition":"sound","reason":"","bytes":12582912,"instance":HEX,"persist":false,"memory":{"used_bytes":61440,"held_back_bytes":8192,"total_bytes":11137024,"taken_bytes":NUMBER},"blocks":{"used":5,"total":512},"processes":[{"index":1,"name":"worker","pid":NUMBER,"since_unix":TIME,"alive":true,"bytes":8192},
+{"index":2,"name":"putter","pid":NUMBER,"since_unix":TIME,"alive":true,"bytes":16384},
+{"index":3,"name":"waits","pid":NUMBER,"since_unix":TIME,"alive":true,"bytes":16384}],"topics":[{"name":"jobs","type":"ShmQueue with redelivery of lot::testing::Parcel","type_bytes":6024,
+"publishers":[{"process":1,"channel":0,"gone":false,"engine":"ring","policy":"block","to":"one","depth":3,"held":1,"unfinished":1,"published":1,"per_second":null,"per_second_below":null,"arrived":0,"arrived_seconds":TIME,"waits_for_room":false},{"process":2,"channel":1,"gone":false,"engine":"ring","policy":"block","to":"one","depth":3,"held":2,"unfinished":0,"published":2,"per_second":null,"per_second_below":null,"arrived":0,"arrived_seconds":TIME,"waits_for_room":false}],
+"subscribers":[{"process":1,"channel":0,"joining":false,"lag":0,"lost":0,"holds_back":false,"observes":false},{"process":1,"channel":1,"joining":false,"lag":2,"lost":0,"holds_back":false,"observes":false}]},
+{"name":"full","type":"ShmQueue of lot::testing::Parcel","type_bytes":6024,
+"publishers":[{"process":3,"channel":3,"gone":false,"engine":"ring","policy":"block","to":"one","depth":1,"held":1,"unfinished":0,"published":1,"per_second":null,"per_second_below":null,"arrived":0,"arrived_seconds":TIME,"waits_for_room":true}],
+"subscribers":[{"process":1,"channel":3,"joining":false,"lag":1,"lost":0,"holds_back":false,"observes":false}]},
+{"name":"left","type":"ShmQueue of int","type_bytes":4,
+"publishers":[{"process":0,"channel":2,"gone":true,"engine":"ring","policy":"block","to":"one","depth":64,"held":1,"unfinished":0,"published":1,"per_second":null,"per_second_below":null,"arrived":0,"arrived_seconds":TIME,"waits_for_room":false}],
+"subscribers":[]}],"damage":[]}],
+"hints":["publisher 3 waits waits for room: `lot who --dir ROOM --segment s` says for which readers"],"exit":0}
 )");
 }
 
@@ -408,6 +436,74 @@ t  ROOM/t
 {"name":"t","path":"ROOM/t","condition":"sound","reason":"","bytes":12582912,"processes":[{"index":1,"name":"other","pid":NUMBER,"alive":true}],"messages":[],
 "behind":[],"waiting":[],"damage":[]}],
 "hints":["publisher 3 sender on /parcels waits for room until 1 one, 2 two has looked"],"exit":0}
+)");
+}
+
+TEST_CASE("lot ls and lot who of four processes that are alike, and of each of them") {
+  const Watchdog watchdog(60);
+  const Room room;
+  auto options = room.options();
+  options.persist = true;
+  std::vector<Child> nodes;
+  for (const char* name : {"node_1", "node_2", "node_3", "node_4"}) {
+    nodes.push_back(resident(options, name, [](auto& engine, auto&& stay) {
+      auto pusher = engine.template advertise<Letter>("/many", {lot::Policy::Refuse, 2, {}});
+      auto idle = engine.template subscribe<Letter>("/none");
+      lot::PullerOptions how;
+      how.observer = true;
+      auto looks = engine.template subscribe<Letter>("/none", how);
+      stay();
+    }));
+  }
+  const Child reader = resident(options, "reader", [](auto& engine, auto&& stay) {
+    auto many = engine.template subscribe<Letter>("/many");
+    stay();
+  });
+  Shown shown{room};
+  CHECK(shown.ls() == R"(
+s  ROOM/s: 16 KiB of 11 MiB, 0 of 512 messages; 0 B held back, MEMORY taken from the system; persist
+
+  PROCESS  PID  SINCE  MEMORY
+  4 processes node_*  AGE  0 B
+  5 reader  PID  AGE  0 B
+
+  TOPIC  PROCESS  POLICY  HELD  RATE  LAG  LOST
+  /many  lot::testing::Letter
+  4 publishers  4 processes  refuse  0 of 8
+  subscriber  5 reader  0
+  /none  lot::testing::Letter
+  4 subscribers  4 processes  no publisher
+  4 subscribers  4 processes  observes, no publisher
+)");
+  CHECK(shown.ls(tool::kWell, true) == R"(
+s  ROOM/s: 16 KiB of 11 MiB, 0 of 512 messages; 0 B held back, MEMORY taken from the system; persist
+
+  PROCESS  PID  SINCE  MEMORY
+  1 node_1  PID  AGE  0 B
+  2 node_2  PID  AGE  0 B
+  3 node_3  PID  AGE  0 B
+  4 node_4  PID  AGE  0 B
+  5 reader  PID  AGE  0 B
+
+  TOPIC  PROCESS  POLICY  HELD  RATE  LAG  LOST
+  /many  lot::testing::Letter
+  publisher  1 node_1  refuse  0 of 2
+  subscriber  5 reader  0
+  publisher  2 node_2  refuse  0 of 2
+  subscriber  5 reader  0
+  publisher  3 node_3  refuse  0 of 2
+  subscriber  5 reader  0
+  publisher  4 node_4  refuse  0 of 2
+  subscriber  5 reader  0
+  /none  lot::testing::Letter
+  subscriber  1 node_1  no publisher
+  subscriber  2 node_2  no publisher
+  subscriber  3 node_3  no publisher
+  subscriber  4 node_4  no publisher
+  subscriber  1 node_1  observes, no publisher
+  subscriber  2 node_2  observes, no publisher
+  subscriber  3 node_3  observes, no publisher
+  subscriber  4 node_4  observes, no publisher
 )");
 }
 
