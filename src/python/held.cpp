@@ -138,7 +138,9 @@ AnyMessage Held::share() const {
     case State::Task:
       return task_.keep();
     default:
-      throw py::type_error("the message is a loan, or of a recording: push it first");
+      throw py::type_error(
+          "the message is a loan, which lot.share() finishes, or of a recording, which "
+          "copy_to() brings into a loan");
   }
 }
 
