@@ -17,10 +17,15 @@ recording = lot.Recording(sys.argv[1])
 for topic in recording.topics:
     print(f'{topic.name}: {topic.messages} of {topic.type_name}, {topic.missed} missed')
 
-# %% Delays in microseconds, by topic. No message is decoded for that.
+# %% Delays in microseconds, by topic. No message is decoded for that. Of a publisher that does not stamp its messages
+# (advertise(..., stamp=True)) the recorder writes its own time twice.
 delays = {topic.name: [] for topic in recording.topics}
 for message in recording:
-    delays[message.topic].append((message.log_time_ns - message.publish_time_ns) / 1000)
+    if message.log_time_ns != message.publish_time_ns:
+        delays[message.topic].append((message.log_time_ns - message.publish_time_ns) / 1000)
+for topic in [topic for topic, its in delays.items() if not its]:
+    print(f'{topic}: unknown, no message has a stamp')
+    del delays[topic]
 
 # %% Figures
 for topic, its in delays.items():

@@ -72,9 +72,10 @@ class Pages(unittest.TestCase):
         self.assertEqual(lines[0], '[3. 4. 3.]')
         self.assertIn('a window has one value or more', lines[1])
 
-    def test_delays_of_a_recording_are_figures(self):
+    def delays(self, stamp):
+        """What delays.py says of a recording of ten messages."""
         program = ("import lot, subprocess, sys\n@lot.message\nclass Point:\n    x: lot.f64\n"
-                   "pub = lot.Engine().advertise('/topic', Point)\n"
+                   f"pub = lot.Engine().advertise('/topic', Point, stamp={stamp})\n"
                    "push = lambda: pub.push(pub.loan(x=1))\npush()\n"
                    "with subprocess.Popen([sys.argv[1], 'record', sys.argv[2]], stdin=-1, stdout=-1) as peer:\n"
                    "    peer.stdout.readline()\n    for _ in range(9): push()\n    peer.stdin.close()\n")
@@ -83,9 +84,15 @@ class Pages(unittest.TestCase):
             env = dict(PYTHON)
             self.passed(subprocess.run([sys.executable, '-c', 'import os; os.environ.pop("LD_PRELOAD", 0)\n' + program, PEER, file],
                                        env=env, capture_output=True, text=True))
-            lines = self.passed(python(EXAMPLES / 'delays.py', file, plot))
+            return self.passed(python(EXAMPLES / 'delays.py', file, plot))
+
+    def test_delays_of_a_recording_are_figures(self):
+        lines = self.delays(stamp=True)
         self.assertRegex(lines[0], '^/topic: 10 of ')
         self.assertRegex(lines[1], r'^/topic: median \d+ us, p99')
+
+    def test_delays_without_stamps_are_unknown(self):
+        self.assertEqual(self.delays(stamp=False)[1:], ['/topic: unknown, no message has a stamp'])
 
 
 if __name__ == '__main__':
