@@ -162,6 +162,8 @@ TEST_CASE("the documents of lot record, info and play fit the schema") {
   documents.add(on(room.options(), {"play", "--json", file}));
   auto other = engine.advertise<Chained>("/other");
   documents.add(on(room.options(), {"play", "--json", file, "--remap", "/notes:=/other"}));
+  documents.add(on(room.options(), {"play", "--json", directory.file("none")}));  // at its begin
+  documents.add(on(room.options(), {"record", "--json", "--all", "-o", file}));   // as well
   CHECK(documents.judge() == 0);
   CHECK(documents.judge("--self-test") == 0);
 }
