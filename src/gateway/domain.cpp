@@ -15,9 +15,15 @@
 namespace lot::gateway {
 namespace {
 
-/// A reliable writer keeps this much that is not acknowledged. More than the last samples of a
-/// topic take: so these push older ones out, and the writer does not wait.
-constexpr const char* kUnacknowledged = "1 GB";
+/// A reliable writer keeps this much that is not acknowledged, and then waits a moment. It is so
+/// much that as a rule the last samples of a topic push older ones out before that.
+constexpr const char* kUnacknowledged = "256 MB";
+
+/// What is asked for. The system gives less, where net.core.rmem_max is less.
+constexpr const char* kSocketBytes = "32 MB";
+
+/// By this ROS 2 knows participants that have nodes.
+constexpr std::string_view kOfRos = "enclave=/;";
 
 std::string escaped(const std::string& text) {
   std::string result;
@@ -51,7 +57,8 @@ bool is_address(const std::string& interface) {
 std::string configuration(const DomainSettings& settings) {
   std::string own = "<Internal><MaxSampleSize>" + std::to_string(settings.max_size) +
                     " B</MaxSampleSize><Watermarks><WhcHigh>" + kUnacknowledged +
-                    "</WhcHigh></Watermarks></Internal>";
+                    "</WhcHigh></Watermarks><SocketReceiveBufferSize max=\"" + kSocketBytes +
+                    "\"/></Internal>";
   if (!settings.interface.empty()) {
     own += "<General><Interfaces><NetworkInterface " +
            std::string(is_address(settings.interface) ? "address" : "name") + "=\"" +
@@ -104,8 +111,11 @@ Domain::Domain(const DomainSettings& settings) {
   const std::string name = "DDS domain " + std::to_string(settings.id);
   domain_ = Entity(dds_create_domain(settings.id, configuration(settings).c_str()), name,
                    "join the domain");
-  participant_ =
-      Entity(dds_create_participant(settings.id, nullptr, nullptr), name, "make a participant");
+  dds_qos_t* const qos = dds_create_qos();
+  dds_qset_userdata(qos, kOfRos.data(), kOfRos.size());
+  const dds_entity_t made = dds_create_participant(settings.id, qos, nullptr);
+  dds_delete_qos(qos);
+  participant_ = Entity(made, name, "make a participant");
 }
 
 }  // namespace lot::gateway

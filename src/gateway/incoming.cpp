@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "gateway/incoming.hpp"
 
-#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <chrono>
@@ -43,7 +42,8 @@ IncomingRoute::IncomingRoute(ShmEngine& engine, const Domain& domain, IncomingTo
       what_(std::move(what)),
       settings_(settings),
       stream_(what_.topic, what_.type),
-      cdr_(domain.participant(), what_.dds_topic, dds_type_of(stream_.schema.name), what_.max_size),
+      dds_type_(dds_type_of(stream_.schema.name)),
+      cdr_(domain.participant(), what_.dds_topic, dds_type_, what_.max_size),
       stopping_(dds_create_guardcondition(domain.participant()), what_.dds_topic,
                 "make a condition"),
       rate_(settings_.limits.max_rate) {
@@ -182,7 +182,7 @@ void IncomingRoute::carry(const CdrSample& sample, dds_instance_handle_t writer)
 void IncomingRoute::begin_to_publish() {
   if (publishing_) return;
   PusherOptions options;
-  options.depth = std::max(options.depth, settings_.quality.depth);
+  options.depth = settings_.quality.depth;
   options.max_bytes =
       settings_.limits.max_bytes != 0 ? settings_.limits.max_bytes : what_.most_bytes;
   AnyPusher pusher = engine_.advertise_any(what_.topic, what_.type, options);

@@ -55,6 +55,8 @@ class IncomingRoute {
   const std::string& topic() const noexcept { return what_.topic; }
   const std::string& dds_topic() const noexcept { return what_.dds_topic; }
   const std::string& dds_type() const noexcept { return dds_type_; }
+  /// Its reader in the domain.
+  dds_entity_t entity() const noexcept { return reader_.get(); }
   Counts told() const;
 
  private:

@@ -72,6 +72,7 @@ Keeper::Keeper(Settings settings, const Join& join)
       join_(join),
       domain_(settings_.domain),
       discovery_(domain_),
+      graph_(domain_, settings_.node, settings_.gid_bytes),
       waiting_(dds_create_waitset(domain_.participant()), "discovery", "make a wait set") {
   require(dds_waitset_attach(waiting_.get(), discovery_.get(), 0), "discovery", "wait for it");
   this->join();
@@ -150,6 +151,22 @@ void Keeper::look() {
   find_outgoing();
   find_incoming();
   has_begun_ = true;
+  tell_ros();
+}
+
+void Keeper::tell_ros() {
+  std::vector<dds_guid_t> readers;
+  std::vector<dds_guid_t> writers;
+  std::vector<dds_entity_t> entities;
+  const auto add = [&](std::vector<dds_guid_t>& guids, dds_entity_t entity) {
+    entities.push_back(entity);
+    require(dds_get_guid(entity, &guids.emplace_back()), "ROS 2", "say which entities there are");
+  };
+  for (const auto& [topic, route] : incoming_) add(readers, route->entity());
+  for (const auto& [topic, route] : outgoing_) add(writers, route->entity());
+  if (entities == told_ && !told_.empty()) return;
+  graph_.tell(readers, writers);
+  told_ = std::move(entities);
 }
 
 void Keeper::note(const std::string& topic, const Error& error) {

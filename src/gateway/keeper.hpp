@@ -17,6 +17,7 @@
 #include "gateway/entity.hpp"
 #include "gateway/incoming.hpp"
 #include "gateway/outgoing.hpp"
+#include "gateway/ros_graph.hpp"
 #include "gateway/settings.hpp"
 #include "transport/participant.hpp"
 
@@ -98,12 +99,15 @@ class Keeper {
   void begin_incoming(const std::string& topic, const Wanted& wanted);
   void retire(OutgoingRoute& route);
   void retire(IncomingRoute& route);
+  void tell_ros();
   void note(const std::string& topic, const Error& error);
 
   Settings settings_;
   const Join join_;
   const Domain domain_;
   Discovery discovery_;
+  RosGraph graph_;
+  std::vector<dds_entity_t> told_;  ///< the entities that ROS 2 knows
   Entity waiting_;
   std::shared_ptr<transport::Participant> participant_;
   std::optional<ShmEngine> engine_;

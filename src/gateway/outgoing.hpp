@@ -51,6 +51,8 @@ class OutgoingRoute {
   const RouteSettings& settings() const noexcept { return settings_; }
   const std::string& topic() const noexcept { return topic_; }
   const std::string& dds_topic() const noexcept { return dds_topic_; }
+  /// Its writer in the domain.
+  dds_entity_t entity() const noexcept { return writer_.get(); }
   Counts told() const { return tally_.told(); }
 
  private:

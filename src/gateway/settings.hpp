@@ -25,8 +25,8 @@ enum class Durability { AsWriters, Volatile, TransientLocal };
 struct Quality {
   Reliability reliability = Reliability::AsWriters;
   Durability durability = Durability::AsWriters;
-  std::uint32_t depth = 8;  ///< KEEP_LAST
-  Duration deadline;        ///< DEADLINE; 0: none
+  std::uint32_t depth = 64;  ///< KEEP_LAST
+  Duration deadline;         ///< DEADLINE; 0: none
 
   bool operator==(const Quality&) const = default;
 };
@@ -56,6 +56,10 @@ struct Settings {
   std::vector<RouteSettings> in;
   /// Topics that come in at once: a pattern fits as many as the network likes.
   std::size_t most_incoming = 256;
+  /// What ROS 2 calls the gateway.
+  std::string node = kProcessName;
+  /// Of an identity in ROS 2's messages: 24 up to Humble, 16 from Iron on.
+  std::size_t gid_bytes = 24;
 };
 
 }  // namespace lot::gateway

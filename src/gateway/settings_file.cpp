@@ -36,6 +36,10 @@ class File {
         settings.domain.max_size = mebibytes(entry.second, 2047);
       } else if (key == "most_incoming") {
         settings.most_incoming = static_cast<std::size_t>(number(entry.second, 0, 1000));
+      } else if (key == "node") {
+        settings.node = text(entry.second);
+      } else if (key == "ros") {
+        settings.gid_bytes = gid_bytes(entry.second);
       } else if (key == "out" || key == "in") {
         rows(entry.second, key == "out" ? settings.out : settings.in);
       } else {
@@ -126,6 +130,13 @@ class File {
     return settings;
   }
 
+  /// Only the size of an identity differs.
+  std::size_t gid_bytes(const YAML::Node& node) const {
+    const std::string word = text(node);
+    if (word == "humble") return 24;
+    if (word == "iron" || word == "jazzy") return 16;
+    refuse(node, word + " is none of humble, iron, jazzy");
+  }
   Reliability reliability(const YAML::Node& node) const {
     const std::string word = text(node);
     if (word == "reliable") return Reliability::Reliable;

@@ -14,8 +14,12 @@
 #include "lot/lot.hpp"
 
 #include "codec/decode.hpp"
+#include "codec/schema.hpp"
 #include "gateway/cdr_type.hpp"
 #include "gateway/domain.hpp"
+#include "gateway/names.hpp"
+#include "gateway/quality.hpp"
+#include "gateway/ros_graph.hpp"
 #include "gateway/two_domains.hpp"
 #include "support/error_of.hpp"
 #include "support/processes.hpp"
@@ -79,6 +83,31 @@ struct Pair {
   CdrTopic out{here.participant(), "rt/shots", kType, kMost};
   CdrTopic in{there.participant(), "rt/shots", kType, kMost};
 };
+
+}  // namespace
+}  // namespace lot::testing
+
+/// What processes of ROS 2 tell each other, as LOT has it.
+namespace rmw_dds_common {
+
+struct Gid {
+  std::uint8_t data[24];
+};
+struct NodeEntitiesInfo {
+  lot::ShmString node_namespace;
+  lot::ShmString node_name;
+  lot::ShmVector<Gid> reader_gid_seq;
+  lot::ShmVector<Gid> writer_gid_seq;
+};
+struct ParticipantEntitiesInfo {
+  Gid gid;
+  lot::ShmVector<NodeEntitiesInfo> node_entities_info_seq;
+};
+
+}  // namespace rmw_dds_common
+
+namespace lot::testing {
+namespace {
 
 TEST_SUITE_BEGIN("gateway");
 
@@ -157,6 +186,44 @@ TEST_CASE("a sample outlives its reader, topic and domain") {
   }
   CHECK(kept.bytes().size() == 100);
   CHECK(kept.bytes().data()[99] == std::byte{3});
+}
+
+TEST_CASE("ROS 2 is told of a node with its readers and writers, also when it comes later") {
+  const Watchdog watchdog(60);
+  const Domain here(alone(1));
+  const Domain there(alone(2));
+  RosGraph graph(here, "gateway_of_a_test", 24);
+  dds_guid_t reader{};
+  dds_guid_t writer{};
+  reader.v[0] = 7;
+  writer.v[15] = 9;
+  graph.tell({reader, reader}, {writer});
+
+  ShmEngine engine(fresh());
+  const AnyType type = AnyType::of<rmw_dds_common::ParticipantEntitiesInfo>();
+  auto pusher = engine.advertise_any("/info", type);
+  const codec::Program program(pusher.type().description());
+  const CdrTopic topic(there.participant(), "ros_discovery_info",
+                       dds_type_of(codec::schema_of(pusher.type().description()).name), kMost);
+  const Qos qos = qos_of({Reliability::Reliable, Durability::TransientLocal, 1, {}}, "");
+  const Entity taker(dds_create_reader(there.participant(), topic.get(), qos.get(), nullptr),
+                     "reader", "");
+  AnyLoan loan = pusher.loan();
+  decode(program, take(taker).bytes(), loan.root());
+  const AnyMessage made = std::move(loan).share();
+  const auto info = made.as<rmw_dds_common::ParticipantEntitiesInfo>();
+  REQUIRE(info);
+  dds_guid_t participant{};
+  require(dds_get_guid(here.participant(), &participant), "participant", "look");
+  CHECK(std::memcmp(info->gid.data, participant.v, sizeof participant.v) == 0);
+  REQUIRE(info->node_entities_info_seq.size() == 1);
+  const auto& node = info->node_entities_info_seq[0];
+  CHECK(std::string(node.node_namespace) == "/");
+  CHECK(std::string(node.node_name) == "gateway_of_a_test");
+  REQUIRE(node.reader_gid_seq.size() == 2);
+  CHECK(node.reader_gid_seq[1].data[0] == 7);
+  REQUIRE(node.writer_gid_seq.size() == 1);
+  CHECK(node.writer_gid_seq[0].data[15] == 9);
 }
 
 TEST_CASE("a name that DDS does not allow is an error that says so") {
