@@ -67,8 +67,8 @@ TEST_CASE("a file is trusted by its user, its group and its mode; else the error
   const Directory room;
   const std::optional<uid_t> none;
   const std::string others =
-      "set LOT_SEGMENT or LOT_DIR, or have it removed, or made anew with LOT_GROUP=<a common "
-      "group>";
+      "have it removed, or made anew with LOT_GROUP=<a common group>, and set the same as a member "
+      "of that group; for a segment of your own set LOT_SEGMENT or LOT_DIR";
   const auto neither = [](const std::string& whose) {
     return "lot: FILE: it belongs to " + whose +
            ": neither to you or root, nor to a user or group that was named; ";
@@ -230,14 +230,21 @@ TEST_CASE("a file has owners, may let fewer in than was asked for, and users may
   CHECK(shortfall({none, none, 0600}, narrow).empty());
   CHECK(shortfall({none, kGroup, 0660}, narrow, false).empty());
   CHECK(shortfall({none, kGroup, 0660}, anns).empty());  // another user's may be as narrow
+  const std::string own = "; for a segment of your own set LOT_SEGMENT or LOT_DIR";
   const std::string owner =
-      "let its owner end all that use it, and make it anew with LOT_GROUP=<a common group>";
-  const std::string member = "become a member of its group (a new login knows of that)";
+      "let its owner end all that use it, and make it anew with LOT_GROUP=<a common group>; set "
+      "the "
+      "same, as a member of that group" +
+      own;
+  const auto member = [&](const std::string& group) {
+    return "become a member of its group (a new login knows of that), and set LOT_GROUP=" + group +
+           own;
+  };
   CHECK(lot::segment::way_in(anns) == owner);
-  CHECK(lot::segment::way_in(roots) == member);
+  CHECK(lot::segment::way_in(roots) == member("65530"));
   CHECK(lot::segment::way_in(put(room, {0, kGroup, 0640}, "h")) == owner);
   CHECK(lot::segment::way_in(put(room, {0, 65534, 0660}, "h")) == owner);
-  CHECK(lot::segment::way_in(put(room, {0, kGroup, 0661}, "h")) == member);
+  CHECK(lot::segment::way_in(put(room, {0, kGroup, 0661}, "h")) == member("65533"));
   CHECK(lot::segment::way_in(room.file("nothing")) == owner);
   CHECK(lot::segment::may_remove(anns));  // root may
   const std::string shared = room.file("shared");
