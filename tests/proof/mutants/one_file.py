@@ -24,7 +24,8 @@ LIBRARY = 6  # so many objects of the library at most
 BUDGET_S = 60  # of a core, for the tests
 LINK_S, COMPILE_S = 1.5, 8  # what a program costs
 UNKNOWN_S = 5  # a test that has not been run in this build
-COMMAND = 'src/tool/lot'  # which the tests tool_* run
+# What tests run, by the first word of their names.
+COMMANDS = {'tool': 'src/tool/lot', 'gateway': 'src/gateway/lot_gateway'}
 
 
 def number_of(seed, *what):
@@ -147,7 +148,7 @@ class OneFile(trees.Tree):
     def programs_of(self, test):
         name, command, *_ = test
         words = [os.path.relpath(w, self.objects) for w in command or () if os.path.isabs(w)]
-        return [w for w in [*words, *[COMMAND] * name.startswith('tool_')] if w in self.release.linked]
+        return [w for w in [*words, COMMANDS.get(name.partition('_')[0])] if w in self.release.linked]
 
     def distance(self, name, test, programs):
         """0: a test that bears the file's name; 1: one of its room; 2: another one."""

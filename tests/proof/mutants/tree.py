@@ -39,6 +39,7 @@ SETTINGS = {
 NEEDED = {
     'tool': {'lot_cli'},
     'ros': {'lot_cli', 'src/lot_ros/all', 'tests/lot_ros/all'},
+    'gateway': {'src/gateway/all', 'tests/gateway/all'},
     'outside': {'tests/proof/outside/all'},
     'codec': {'tests/codec/all'},
     'crash': {'crash_node'}}
