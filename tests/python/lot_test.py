@@ -954,6 +954,12 @@ def start(work, daemon=True):
     begun.wait()
     time.sleep(0.1)
     return thread
+def ready_in_join():  # a Ctrl-C before that leaves a thread for which Python waits
+    main = threading.main_thread().ident
+    while sys._current_frames()[main].f_code.co_name != '_wait_for_tstate_lock':
+        time.sleep(0.01)
+    time.sleep(0.1)
+    print('ready', flush=True)
 """
 
 
@@ -970,7 +976,11 @@ class Ends(Case):
             if number is not None:
                 program.stdout.readline()
                 program.send_signal(number)
-            said = program.communicate()[1]
+            try:
+                said = program.communicate(timeout=90)[1]
+            except subprocess.TimeoutExpired:
+                program.kill()
+                raise
         stays = os.path.exists(path)
         for name in (path, path + '.lock'):
             if os.path.exists(name):
@@ -989,8 +999,8 @@ class Ends(Case):
 
     def test_ctrl_c_ends_a_program_that_joins_a_waiting_thread(self):
         for daemon in (True, False):
-            status, stays, said = self.run_program(f"its = start(sub.pull, {daemon}); print('ready', flush=True); its.join()",
-                                                   number=signal.SIGINT)
+            text = f'its = start(sub.pull, {daemon}); threading.Thread(target=ready_in_join, daemon=True).start(); its.join()'
+            status, stays, said = self.run_program(text, number=signal.SIGINT)
             self.assertEqual((status, stays, said.splitlines()[-1:]), (-signal.SIGINT, False, ['KeyboardInterrupt']))
 
     def test_signals_leave_no_file(self):
