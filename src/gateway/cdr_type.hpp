@@ -53,7 +53,7 @@ class CdrSample {
   [[nodiscard]] explicit operator bool() const noexcept { return data_ != nullptr; }
   /// All bytes of it. REQUIRES: there is one.
   Bytes bytes() const noexcept;
-  /// When it was made, for those who get it. REQUIRES: there is one, and DDS does not have it yet.
+  /// When it was made, for its readers. REQUIRES: there is one, and DDS does not have it yet.
   void stamp(dds_time_t time) noexcept { data_->timestamp.v = time; }
   /// The share, which the caller gives to CycloneDDS.
   ddsi_serdata* release() noexcept { return std::exchange(data_, nullptr); }

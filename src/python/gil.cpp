@@ -20,7 +20,8 @@ std::vector<unsigned long>& waiting() {
   return *threads;
 }
 unsigned long ending = 0;  ///< the thread that ends the interpreter; 0: it goes on
-/// The interpreter has gone, with its GIL. Relaxed: who sees it touches nothing of Python.
+/// The interpreter has gone, with its GIL. Relaxed: a thread that sees it touches nothing of
+/// Python.
 std::atomic<bool> is_over{false};
 
 }  // namespace

@@ -7,10 +7,10 @@ namespace lot::python {
 
 /// A piece of work without the GIL, which other threads of the program have meanwhile.
 ///
-/// The interpreter may end before the work does, where this is a daemon thread. Who asks for the
-/// GIL then is ended by pthread_exit(), whose unwinding no destructor lets pass: the process would
-/// abort. So such a thread stops here for good, as it does in CPython from 3.14 on, and the process
-/// ends with the main thread's status.
+/// The interpreter may end before the work does, where this is a daemon thread. A thread that
+/// asks for the GIL then is ended by pthread_exit(), whose unwinding no destructor lets pass: the
+/// process would abort. So such a thread stops here for good, as it does in CPython from 3.14 on,
+/// and the process ends with the main thread's status.
 class Released {
  public:
   Released() : state_(PyEval_SaveThread()) {}

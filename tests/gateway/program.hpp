@@ -19,10 +19,10 @@
 #include "support/processes.hpp"
 #include "support/scratch.hpp"
 
-/// lot_gateway, as anybody runs it.
+/// lot_gateway, as a user runs it.
 namespace lot::testing {
 
-/// Settings of CycloneDDS by which the programs of one test meet each other, and nobody else.
+/// Settings of CycloneDDS by which the programs of one test meet each other alone.
 inline std::string uri_of_this_test() {
   return "<CycloneDDS><Domain Id=\"any\"><General><Interfaces><NetworkInterface "
          "address=\"127.0.0.1\"/></Interfaces><AllowMulticast>false</AllowMulticast></General>"
