@@ -216,7 +216,7 @@ TEST_CASE("too few threads are an error that says so") {
 }
 
 TEST_CASE("too little address space is an error that names the limit" *
-          doctest::skip(kMapsTerabytes)) {
+          doctest::skip(kIsSanitized)) {
   const Watchdog watchdog(60);
   auto options = fresh();
   options.size_bytes = 512 * kMiB;
@@ -225,7 +225,7 @@ TEST_CASE("too little address space is an error that names the limit" *
 }
 
 TEST_CASE("a joiner without room for a segment is not told to make it smaller at once" *
-          doctest::skip(kMapsTerabytes)) {
+          doctest::skip(kIsSanitized)) {
   const Watchdog watchdog(60);
   const auto options = fresh(512 * kMiB);
   const lot::ShmEngine engine(options);
@@ -243,7 +243,7 @@ TEST_CASE("a joiner without room for a segment is not told to make it smaller at
 }
 
 TEST_CASE("too little memory for the threads is an error that names the limit" *
-          doctest::skip(kMapsTerabytes)) {
+          doctest::skip(kIsSanitized)) {
   const Watchdog watchdog(60);
   auto options = fresh();
   int refused = 0;

@@ -3,14 +3,15 @@
 
 namespace lot::testing {
 
-/// A sanitizer is built in, which maps terabytes: a limit of address space ends the process.
+/// A sanitizer is built in. It maps terabytes, so a limit of address space ends the process, and it
+/// is slow.
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-inline constexpr bool kMapsTerabytes = true;
+inline constexpr bool kIsSanitized = true;
 #elif defined(__has_feature)
-inline constexpr bool kMapsTerabytes =
+inline constexpr bool kIsSanitized =
     __has_feature(address_sanitizer) || __has_feature(thread_sanitizer);
 #else
-inline constexpr bool kMapsTerabytes = false;
+inline constexpr bool kIsSanitized = false;
 #endif
 
 }  // namespace lot::testing

@@ -260,7 +260,7 @@ TEST_CASE("items of another boot go without a word, as the segment does") {
 }
 
 TEST_CASE("where there is no room to map it, a segment is not taken for damaged" *
-          doctest::skip(kMapsTerabytes)) {
+          doctest::skip(kIsSanitized || is_other_command())) {
   const Watchdog watchdog(60);
   const Room room;
   auto options = room.options();

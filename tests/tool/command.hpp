@@ -2,6 +2,7 @@
 #pragma once
 
 #include <csignal>
+#include <cstdlib>
 #include <fcntl.h>
 #include <fstream>
 #include <iterator>
@@ -39,10 +40,23 @@ inline std::string read_all(int fd) {
   }
 }
 
+/// The command of this build, or the one that LOT_TEST_COMMAND names: scripts/test has these tests
+/// run the one with AddressSanitizer, too.
+inline const std::string& command() {
+  static const std::string path = [] {
+    const char* const other = std::getenv("LOT_TEST_COMMAND");
+    return std::string(other != nullptr ? other : LOT_COMMAND);
+  }();
+  return path;
+}
+
+/// It is that of another build.
+inline bool is_other_command() { return std::getenv("LOT_TEST_COMMAND") != nullptr; }
+
 /// The command, open: another user may run it where he may not come to its name.
 inline int command_file() {
-  static const int file = open(LOT_COMMAND, O_RDONLY | O_CLOEXEC);
-  must(file != -1, LOT_COMMAND);
+  static const int file = open(command().c_str(), O_RDONLY | O_CLOEXEC);
+  must(file != -1, command().c_str());
   return file;
 }
 
@@ -83,7 +97,7 @@ Ran run_by(std::vector<std::string>& words, Become&& become) {
 }
 
 inline Ran run_lot(std::vector<std::string> words) {
-  words.insert(words.begin(), LOT_COMMAND);
+  words.insert(words.begin(), command());
   return run_by(words, [](char** arguments) { fexecve(command_file(), arguments, environ); });
 }
 
@@ -99,7 +113,7 @@ class Running {
     prefix();
     int out[2];
     must(err_ != -1 && pipe2(out, O_CLOEXEC) == 0, "a pipe");
-    words.insert(words.begin(), LOT_COMMAND);
+    words.insert(words.begin(), command());
     std::vector<char*> arguments;
     for (auto& w : words) arguments.push_back(w.data());
     arguments.push_back(nullptr);

@@ -743,7 +743,7 @@ TEST_CASE("the verbs of a topic say once what they can not look into, where no t
     REQUIRE(chown(path.c_str(), kBob, kGroup) == 0);
     REQUIRE(chmod(room.path().c_str(), 0755) == 0);
     std::vector<std::string> words = words_at(room.path(), {"echo", "/notes", "--timeout", "0"});
-    words.insert(words.begin(), LOT_COMMAND);
+    words.insert(words.begin(), command());
     const Ran ran = run_by(words, [](char** arguments) {
       become(kAnn, kOtherGroup);
       fexecve(command_file(), arguments, environ);

@@ -69,7 +69,7 @@ TEST_CASE("lot says that its output can not be written") {
     for (const bool is_full : {false, true}) {
       CAPTURE(is_full);
       std::vector<std::string> words = on(room.options(), {verb});
-      words.insert(words.begin(), LOT_COMMAND);
+      words.insert(words.begin(), command());
       const Ran ran = run_by(words, [&](char** arguments) {
         const int full = is_full ? open("/dev/full", O_WRONLY) : -1;
         is_full ? dup2(full, STDOUT_FILENO) : close(STDOUT_FILENO);
@@ -300,7 +300,7 @@ TEST_CASE("the command of a hint does what it says when a shell runs it" *
   const Watchdog watchdog(60);
   const Room room;
   const auto shell = [](const std::string& command) {
-    const std::string program = "lot() { " LOT_COMMAND " \"$@\"; }; ";
+    const std::string program = "lot() { " + lot::testing::command() + " \"$@\"; }; ";
     return std::system(("{ " + program + command + "; } > /dev/null").c_str());
   };
   for (const char* name : {"", "/it's two words"}) {

@@ -314,7 +314,7 @@ TEST_CASE("lot play of times that no clock has: what is due is published, and th
 
 /// The command as a shell's words, and behind it what the terminal is like then.
 std::string shell(const std::vector<std::string>& words) {
-  std::string text = LOT_COMMAND;
+  std::string text = command();
   for (const std::string& word : words) text += " '" + word + "'";
   return text + "; echo ended with $?; stty -a; sleep 60";
 }

@@ -58,7 +58,7 @@ struct Chars {
 /// Whether a process is the command already, and has a handler for a signal.
 bool catches(pid_t pid, int signal) {
   const std::string process = "/proc/" + std::to_string(pid);
-  if (!std::filesystem::equivalent(process + "/exe", LOT_COMMAND)) return false;
+  if (!std::filesystem::equivalent(process + "/exe", command())) return false;
   std::ifstream status(process + "/status");
   for (std::string line; std::getline(status, line);) {
     if (line.rfind("SigCgt:", 0) == 0) {
@@ -90,8 +90,8 @@ struct Robot {
   Ran run_with(const std::string& input, const std::string& words) const {
     std::ofstream(room.path() + "/input") << input;
     return run_program({"sh", "-c",
-                        std::string(LOT_COMMAND) + " pub /goal --dir " + room.path() +
-                            " --segment s " + words + " < " + room.path() + "/input"});
+                        command() + " pub /goal --dir " + room.path() + " --segment s " + words +
+                            " < " + room.path() + "/input"});
   }
 
   /// A pipe with a name, for standard input that comes by and by.
@@ -189,8 +189,8 @@ TEST_CASE("each document of standard input is published when its end comes") {
   const Watchdog watchdog(60);
   Robot robot;
   const std::string pipe = robot.pipe();
-  const std::string pub = std::string(LOT_COMMAND) + " pub /goal - --dir " + robot.room.path() +
-                          " --segment s < " + pipe;
+  const std::string pub =
+      command() + " pub /goal - --dir " + robot.room.path() + " --segment s < " + pipe;
   Ran ran;
   std::thread publishes([&] { ran = run_program({"sh", "-c", pub}); });
   std::ofstream input(pipe);
@@ -328,9 +328,8 @@ TEST_CASE("each char goes from lot echo to lot pub and comes as the same byte") 
   must_go(pusher.push(std::move(bytes)));
   REQUIRE(puller.pull(10s));
   for (const char* format : {"", "--json"}) {
-    const std::string pipe = std::string(LOT_COMMAND " echo /chars --count 1 --full ") + format +
-                             " --dir " + room.path() + " | " LOT_COMMAND " pub /chars - --dir " +
-                             room.path();
+    const std::string pipe = command() + " echo /chars --count 1 --full " + format + " --dir " +
+                             room.path() + " | " + command() + " pub /chars - --dir " + room.path();
     CHECK(run_program({"sh", "-c", pipe}).exit == 0);
     const auto again = puller.pull(10s);
     REQUIRE(again);

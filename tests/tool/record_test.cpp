@@ -251,7 +251,8 @@ TEST_CASE("lot record without a file's name takes the next one where another tak
   Stage stage;
   auto pusher = stage.engine.advertise<Pose>("/pose");
   put(pusher, 1);
-  std::string command = "cd '" + stage.directory.file("") + "'; for i in 1 2 3; do " LOT_COMMAND;
+  std::string command =
+      "cd '" + stage.directory.file("") + "'; for i in 1 2 3; do " + lot::testing::command();
   for (const std::string& word : on(stage.options, {"record", "/pose", "--duration", "0.5"})) {
     command += " '" + word + "'";
   }
@@ -458,7 +459,7 @@ TEST_CASE("lot record on a terminal has a line that says how it goes") {
   const Watchdog watchdog(120);
   Stage stage;
   auto pusher = stage.engine.advertise<Pose>("/pose");
-  std::string command = LOT_COMMAND;
+  std::string command = lot::testing::command();
   for (const std::string& word : stage.record({"/pose"})) command += " '" + word + "'";
   const Terminal terminal(stage.room, 100, 20, command + "; sleep 100");
   REQUIRE(terminal.shows("* writes"));
@@ -593,7 +594,7 @@ TEST_CASE("lot info --recover of a file that the user may not write says what he
   write_file(stage.file(), std::string_view(whole).substr(0, whole.size() - 100));
   std::filesystem::permissions(stage.file(), std::filesystem::perms(0644));
   std::filesystem::permissions(stage.directory.file(""), std::filesystem::perms(0755));
-  std::vector<std::string> words = {LOT_COMMAND, "info", "--recover", stage.file()};
+  std::vector<std::string> words = {command(), "info", "--recover", stage.file()};
   const Ran ran = run_by(words, [](char** arguments) {
     become(kAnn, kOtherGroup);
     fexecve(command_file(), arguments, environ);
@@ -610,7 +611,7 @@ TEST_CASE("lot record names the directory in which the user may not make its fil
   std::filesystem::create_directory(directory);
   std::filesystem::permissions(directory, std::filesystem::perms(0755));
   std::filesystem::permissions(stage.directory.file(""), std::filesystem::perms(0755));
-  std::vector<std::string> words = {LOT_COMMAND, "record", "--all", "--dir",
+  std::vector<std::string> words = {command(), "record", "--all", "--dir",
                                     stage.directory.file("")};
   const Ran ran = run_by(words, [&](char** arguments) {
     must(chdir(directory.c_str()) == 0, "the directory");

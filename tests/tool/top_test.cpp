@@ -80,9 +80,7 @@ Child reader(lot::EngineOptions options, const std::string& name, const std::str
   });
 }
 
-std::string top(const std::string& options) {
-  return std::string(LOT_COMMAND) + " top --interval 200 " + options;
-}
+std::string top(const std::string& options) { return command() + " top --interval 200 " + options; }
 std::string top_of(const lot::EngineOptions& options, const std::string& more = "") {
   return top("--dir " + options.directory + " --segment " + options.segment + " " + more);
 }
