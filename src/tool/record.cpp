@@ -20,6 +20,7 @@
 
 #include "mcap/files.hpp"
 #include "mcap/reader.hpp"
+#include "record/pattern.hpp"
 #include "tool/commands.hpp"
 #include "tool/nearest.hpp"
 #include "tool/onlooker.hpp"
@@ -294,6 +295,11 @@ class Record {
       const bool is_trigger = wanted == options_.what.trigger;
       const bool is_wanted = std::ranges::count(options_.what.topics, wanted) != 0;
       const std::string name = printable(wanted, 200);
+      // It has come since the recorder looked last.
+      if (std::ranges::any_of(there, [&](const auto& t) { return record::matches(wanted, t); })) {
+        if (end.empty() && is_wanted) lines.push_back(name + " came too late to be recorded");
+        continue;
+      }
       const std::string advice = advice_for(wanted, there);
       std::string line = is_wanted ? "" : is_trigger ? "--trigger: " : "--except: ";
       line += wanted == "*"        ? "no process uses a topic"
