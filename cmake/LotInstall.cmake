@@ -22,7 +22,8 @@ if(TARGET lot_cli)  # the command, the schema of its documents, its pages, what 
   install(TARGETS lot_cli DESTINATION ${CMAKE_INSTALL_BINDIR})
   install(FILES ${PROJECT_SOURCE_DIR}/src/tool/lot.schema.json
     DESTINATION ${CMAKE_INSTALL_DATADIR}/lot)
-  install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/man/ DESTINATION ${CMAKE_INSTALL_MANDIR}/man1)
+  install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs/man/ DESTINATION ${CMAKE_INSTALL_MANDIR}/man1
+    FILES_MATCHING PATTERN "lot.1" PATTERN "lot-*.1")
   set(lot_completions ${PROJECT_SOURCE_DIR}/src/tool/completions)
   install(FILES ${lot_completions}/lot.bash RENAME lot
     DESTINATION ${CMAKE_INSTALL_DATADIR}/bash-completion/completions)
@@ -30,6 +31,11 @@ if(TARGET lot_cli)  # the command, the schema of its documents, its pages, what 
     DESTINATION ${CMAKE_INSTALL_DATADIR}/zsh/site-functions)
   install(FILES ${lot_completions}/lot.fish
     DESTINATION ${CMAKE_INSTALL_DATADIR}/fish/vendor_completions.d)
+endif()
+if(TARGET lot_gateway)
+  install(TARGETS lot_gateway DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT gateway)
+  install(FILES ${PROJECT_SOURCE_DIR}/docs/man/lot_gateway.1 DESTINATION ${CMAKE_INSTALL_MANDIR}/man1
+    COMPONENT gateway)
 endif()
 if(TARGET lot_python)  # where Debian's Python looks, below /usr
   set(LOT_PYTHON_DIR lib/python3/dist-packages CACHE STRING "Where the package for Python is installed")

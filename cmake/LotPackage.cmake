@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Debian packages, by cpack (scripts/package), one for each component: liblot-dev (dev), lot-tools (tools),
-# where the package for Python is built, python3-lot (python), and, where lot::ros is built, liblot-ros0.1 (ros_library) and liblot-ros-dev (ros).
+# where the gateway is built, lot-gateway (gateway), where the package for Python is built, python3-lot (python), and, where lot::ros is built, liblot-ros0.1 (ros_library) and liblot-ros-dev (ros).
 set(LOT_PACKAGE_MAINTAINER "The LOT team <lot@example.org>" CACHE STRING "Who makes the packages")
 
 set(CPACK_GENERATOR DEB)
@@ -55,6 +55,14 @@ if(TARGET lot_cli)
 "This package has the command lot, which shows segments, topics, rates and
 who holds which message, and removes what dead processes have left."
     SHLIBDEPS ON)
+endif()
+
+if(TARGET lot_gateway)
+  lot_package(gateway lot-gateway net "messages in shared memory, without copies - gateway to DDS and ROS 2"
+"This package has the program lot_gateway, which carries topics between hosts,
+and to and from nodes of ROS 2."
+    SHLIBDEPS ON
+    SUGGESTS "lot-tools")
 endif()
 
 if(TARGET lot_python)

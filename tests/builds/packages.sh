@@ -26,10 +26,12 @@ use() {  # PREFIX SCRATCH
   export PKG_CONFIG_PATH=$prefix/lib/pkgconfig LOT_SEGMENT=${LOT_SEGMENT:-lot}_packages
   "$prefix/bin/lot" --version
   ("$prefix/bin/lot_relay" 2>&1 || true) | grep "^usage: lot_relay"
-  for package in liblot-dev liblot-ros0.1 liblot-ros-dev lot-tools python3-lot; do
+  for package in liblot-dev liblot-ros0.1 liblot-ros-dev lot-gateway lot-tools python3-lot; do
     gzip -t "$prefix/share/doc/$package/changelog.gz" "$prefix/share/doc/$package/changelog.Debian.gz"
     test -s "$prefix/share/doc/$package/copyright"
   done
+  "$prefix/bin/lot_gateway" --version
+  zgrep -q "^.Nm lot_gateway" "$prefix/share/man/man1/lot_gateway.1.gz"
   # Where each shell of Debian looks.
   test -s "$prefix/share/bash-completion/completions/lot"
   test -s "$prefix/share/zsh/vendor-completions/_lot"
@@ -119,6 +121,7 @@ mistakes=(  # PACKAGE CHECK CHANGE
   "liblot-dev install_and_use sed -i s/-llot/-lelse/ usr/lib/pkgconfig/lot.pc"
   "liblot-dev install_and_use rm usr/lib/liblot_record.a"
   "liblot-dev install_and_use sed -i s/-llot_record/-lelse/ usr/lib/pkgconfig/lot-record.pc"
+  "lot-gateway install_and_use rm usr/share/man/man1/lot_gateway.1.gz"
   "python3-lot install_and_use rm usr/lib/python3/dist-packages/lot/service.py"
   "liblot-ros-dev install_and_use rm usr/lib/lot/image_transport/*.so"
   "lot-tools install_and_use mv usr/share/zsh/vendor-completions usr/share/zsh/site-functions")

@@ -184,7 +184,7 @@ CHECKS = {'lot.bash': check_bash, 'lot.fish': check_fish, 'lot.zsh': check_zsh}
 
 def texts():
     files = {file.name: file.read_text() for file in COMPLETIONS.iterdir()}
-    files.update((file.stem, file.read_text()) for file in PAGES.glob('*.1'))
+    files.update((file.stem, file.read_text()) for file in [PAGES / 'lot.1', *PAGES.glob('lot-*.1')])
     return files
 
 
