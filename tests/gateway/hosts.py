@@ -115,10 +115,11 @@ class Hosts:
         """The cable's end at that host."""
         must(*self.inside(host), 'ip', 'link', 'set', CABLE, 'up' if is_in else 'down')
 
-    def run(self, host, *command):
+    def run(self, host, *command, **environment):
         """Begins a program on that host."""
+        usual = {'LOT_SEGMENT': self.segments[host], 'LOT_SIZE': '256M', 'CYCLONEDDS_URI': ''}
         program = Program(f'{pathlib.Path(command[0]).name}_{host}', [*self.inside(host), *command], self.folder.name,
-                          LOT_SEGMENT=self.segments[host], LOT_SIZE='256M', CYCLONEDDS_URI='')
+                          **{**usual, **environment})
         self.programs.append(program)
         return program
 
