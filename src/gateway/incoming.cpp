@@ -15,6 +15,7 @@
 #include "gateway/names.hpp"
 #include "gateway/peer.hpp"
 #include "gateway/quality.hpp"
+#include "gateway/ros_types.hpp"
 #include "gateway/thread.hpp"
 
 namespace lot::gateway {
@@ -151,7 +152,8 @@ IncomingRoute::Writer IncomingRoute::judge(dds_instance_handle_t writer) const t
   const std::optional<Peer> peer = peer_of(user_data_of_writer(reader_.get(), writer));
   if (!peer) return Writer::IsCarried;
   if (peer->segment == what_.place) return Writer::IsOfThisSegment;
-  const bool is_another = peer->type && !peer->type.is_same(what_.type);
+  // A message of ROS 2 is what its name says, as it is of a writer that says nothing more.
+  const bool is_another = peer->type && !peer->type.is_same(what_.type) && !is_ros_type(dds_type_);
   return is_another ? Writer::IsOfAnotherType : Writer::IsCarried;
 } catch (const Error&) {
   return Writer::IsOfAnotherType;  // it says a type that can be none

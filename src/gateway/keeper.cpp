@@ -14,6 +14,7 @@
 #include "codec/schema.hpp"
 #include "gateway/names.hpp"
 #include "gateway/peer.hpp"
+#include "gateway/ros_types.hpp"
 #include "record/pattern.hpp"
 #include "record/stream.hpp"
 
@@ -306,13 +307,24 @@ void Keeper::find_incoming() {
   }
 }
 
+AnyType Keeper::incoming_type(const std::string& topic, const Wanted& wanted) {
+  if (AnyType type = engine_->type_of(topic)) return type;
+  if (!wanted.settings.type.empty()) return type_of_ros(dds_type_of(wanted.settings.type));
+  if (wanted.type) return wanted.type;
+  for (const std::string& dds_type : wanted.dds_types) {
+    if (AnyType type = type_of_ros(dds_type)) return type;
+  }
+  return {};
+}
+
 void Keeper::begin_incoming(const std::string& topic, const Wanted& wanted) {
-  AnyType type = engine_->type_of(topic);
-  if (!type) type = wanted.type;
+  AnyType type = incoming_type(topic, wanted);
   if (!type) {
     if (wanted.dds_types.empty()) return;  // neither side is there yet
-    throw Error(EINVAL, topic, "no process of the segment uses it, and its writer is no gateway's",
-                "the gateway takes the type from the first subscriber");
+    throw Error(EINVAL, topic,
+                "no process of the segment uses it, and the gateway knows no fields of " +
+                    *wanted.dds_types.begin(),
+                "it takes the type of the first subscriber");
   }
   const std::string dds_type = dds_type_for(type);
   if (!fits(wanted, dds_type)) {

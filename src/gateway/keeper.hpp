@@ -96,6 +96,8 @@ class Keeper {
   static bool fits(const Wanted& wanted, const std::string& dds_type);
   void end_incoming(const std::map<std::string, Wanted>& wanted);
   void find_incoming();
+  /// What the topic's messages are here. None: that is not known yet.
+  AnyType incoming_type(const std::string& topic, const Wanted& wanted);
   void begin_incoming(const std::string& topic, const Wanted& wanted);
   void retire(OutgoingRoute& route);
   void retire(IncomingRoute& route);

@@ -17,6 +17,8 @@
 #include "lot/signals.hpp"
 
 #include "gateway/keeper.hpp"
+#include "gateway/names.hpp"
+#include "gateway/ros_types.hpp"
 #include "gateway/settings.hpp"
 #include "gateway/settings_file.hpp"
 #include "transport/participant.hpp"
@@ -47,16 +49,31 @@ struct Arguments {
   std::string interface;
 };
 
+/// NAME or NAME:TYPE.
+RouteSettings incoming_row(const std::string& word) {
+  RouteSettings row;
+  const std::size_t colon = word.find(':');
+  row.topics = word.substr(0, colon);
+  if (colon != word.npos) row.type = word.substr(colon + 1);
+  return row;
+}
+
+/// What is wrong with a word of --in; empty: nothing is.
+std::string wrong_with(const std::string& word) {
+  const RouteSettings row = incoming_row(word);
+  const bool is_right = row.type.empty() ? row.topics == word : is_ros_type(dds_type_of(row.type));
+  return is_right ? "" : "the gateway knows no fields of a type \"" + row.type + '"';
+}
+
 /// What the command line and the file say together: the command line comes first.
 Settings settings_of(const Arguments& arguments) {
   Settings settings;
-  for (const bool is_out : {true, false}) {
-    for (const std::string& topics : is_out ? arguments.out : arguments.in) {
-      RouteSettings row;
-      row.topics = topics;
-      (is_out ? settings.out : settings.in).push_back(std::move(row));
-    }
+  for (const std::string& topics : arguments.out) {
+    RouteSettings row;
+    row.topics = topics;
+    settings.out.push_back(std::move(row));
   }
+  for (const std::string& word : arguments.in) settings.in.push_back(incoming_row(word));
   if (!arguments.file.empty()) read_settings(arguments.file, settings);
   if (arguments.domain >= 0) settings.domain.id = static_cast<std::uint32_t>(arguments.domain);
   if (!arguments.interface.empty()) settings.domain.interface = arguments.interface;
@@ -153,7 +170,10 @@ int run(int argc, char** argv) {
   Arguments arguments;
   app.add_option("--out", arguments.out, "topics of the segment that go out: a name or a pattern")
       ->type_name("TOPICS");
-  app.add_option("--in", arguments.in, "topics of the domain that come in")->type_name("TOPICS");
+  app.add_option("--in", arguments.in,
+                 "topics of the domain that come in; TOPICS:TYPE where nothing else says the type")
+      ->type_name("TOPICS[:TYPE]")
+      ->check(CLI::Validator(wrong_with, ""));
   app.add_option("--config", arguments.file, "a file of YAML, with topics and more")
       ->type_name("FILE")
       ->check(CLI::ExistingFile);

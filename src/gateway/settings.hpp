@@ -44,7 +44,8 @@ struct RouteSettings {
   std::string topics;
   std::string dds_topic;  ///< for a single name: what it is called in DDS, if not as ROS 2 would
   Quality quality;
-  Limits limits;  ///< incoming ones
+  Limits limits;     ///< incoming ones
+  std::string type;  ///< of incoming ones, in ROS 2, for topics that no process here uses
 
   bool operator==(const RouteSettings&) const = default;
 };

@@ -12,6 +12,9 @@
 
 #include "lot/error.hpp"
 
+#include "gateway/names.hpp"
+#include "gateway/ros_types.hpp"
+
 namespace lot::gateway {
 namespace {
 
@@ -122,6 +125,8 @@ class File {
         settings.limits.max_rate = number(value, 0, 1e9);
       } else if (key == "max_memory_mib") {
         settings.limits.max_bytes = mebibytes(value, 1e6);
+      } else if (key == "type") {
+        settings.type = ros_type(value);
       } else {
         refuse(entry.first, "there is no setting " + key + " of a topic");
       }
@@ -130,6 +135,11 @@ class File {
     return settings;
   }
 
+  std::string ros_type(const YAML::Node& node) const {
+    const std::string name = text(node);
+    if (is_ros_type(dds_type_of(name))) return name;
+    refuse(node, "the gateway knows no fields of " + name);
+  }
   /// Only the size of an identity differs.
   std::size_t gid_bytes(const YAML::Node& node) const {
     const std::string word = text(node);

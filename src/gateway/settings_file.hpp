@@ -18,6 +18,7 @@ namespace lot::gateway {
 ///         durability: transient_local
 ///     in:
 ///       - topics: /cmd_vel
+///         type: geometry_msgs/msg/Twist
 ///         max_rate: 100
 ///
 /// Throws lot::Error: EINVAL for what it does not know or understand, with the line; what the

@@ -76,14 +76,15 @@ TEST_CASE("a file of settings has topics with their quality of service, and limi
       "    reliability: best_effort\n"
       "    deadline_ms: 1.5\n"
       "    max_rate: 100\n"
-      "    max_memory_mib: 0.5\n");
+      "    max_memory_mib: 0.5\n"
+      "    type: geometry_msgs/msg/Twist\n");
   CHECK(s.domain.id == 7);
   CHECK(s.domain.interface == "eth0");
   CHECK(s.domain.max_size == 2 << 20);
   CHECK(s.most_incoming == 9);
   REQUIRE(s.out.size() == 2);
   CHECK(s.out[0].topics == "/camera/*");
-  CHECK(s.out[0] == RouteSettings{"/camera/*", "", {}, {}});
+  CHECK(s.out[0] == RouteSettings{"/camera/*", "", {}, {}, ""});
   CHECK(s.out[1].dds_topic == "rt/other");
   CHECK(s.out[1].quality.durability == Durability::TransientLocal);
   CHECK(s.out[1].quality.depth == 1);
@@ -92,6 +93,7 @@ TEST_CASE("a file of settings has topics with their quality of service, and limi
   CHECK(s.in[0].quality.deadline.count() == 1'500'000);
   CHECK(s.in[0].limits.max_rate == 100);
   CHECK(s.in[0].limits.max_bytes == 1 << 19);
+  CHECK(s.in[0].type == "geometry_msgs/msg/Twist");
   CHECK(read("").out.empty());
 }
 
@@ -103,6 +105,7 @@ TEST_CASE("what a file of settings does not mean is an error with its line") {
   CHECK(wrong("in:\n- {topics: /a, depth: .nan}").starts_with("2: here belongs a number"));
   CHECK(wrong("in: [{topics: /a, reliability: some}]").starts_with("1: some is neither"));
   CHECK(wrong("in: [{topics: /a, durability: some}]").starts_with("1: some is neither"));
+  CHECK(wrong("in:\n- {topics: /a, type: a/msg/A}").starts_with("2: the gateway knows no fields"));
   CHECK(wrong("domain: 233").starts_with("1: here belongs a number from 0 to 232"));
   CHECK(wrong("[1, 2]").starts_with("1: here belong settings"));
   CHECK(wrong("a: [").starts_with("1: "));
