@@ -14,6 +14,10 @@ CABLE = 'lot0'
 PATIENCE_S = 60
 
 
+def address(host):
+    return f'10.77.0.{host + 1}'
+
+
 class Refused(Exception):
     """This system gives no namespaces, and why."""
 
@@ -87,7 +91,7 @@ class Hosts:
         a, b = (str(h.pid) for h in self.holders)
         must('ip', 'link', 'add', CABLE, 'netns', a, 'type', 'veth', 'peer', 'name', CABLE, 'netns', b)
         for i in range(2):
-            must(*self.inside(i), 'ip', 'address', 'add', f'10.77.0.{i + 1}/24', 'dev', CABLE)
+            must(*self.inside(i), 'ip', 'address', 'add', f'{address(i)}/24', 'dev', CABLE)
             self.plug(i, True)
             must(*self.inside(i), 'ip', 'link', 'set', 'lo', 'up')
         # Programs pass over an interface that is not ready when they start.
