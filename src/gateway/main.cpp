@@ -176,10 +176,12 @@ int run(int argc, char** argv) {
       ->check(CLI::Validator(wrong_with, ""));
   app.add_option("--config", arguments.file, "a file of YAML, with topics and more")
       ->type_name("FILE")
-      ->check(CLI::ExistingFile);
-  app.add_option("--domain", arguments.domain, "the DDS domain; 0, if it is not said")
-      ->check(CLI::Range(0, 232));
-  app.add_option("--interface", arguments.interface, "a network interface: its name, or address");
+      ->check(CLI::Validator(CLI::ExistingFile).description(""));
+  app.add_option("--domain", arguments.domain, "the DDS domain, 0 to 232; 0, if it is not said")
+      ->check(CLI::Validator(CLI::Range(0, 232)).description(""))
+      ->type_name("NUMBER");
+  app.add_option("--interface", arguments.interface, "a network interface: its name, or address")
+      ->type_name("NAME");
   app.add_option("-s,--segment", arguments.segment, "the segment (LOT_SEGMENT)")->type_name("NAME");
   app.set_version_flag("--version", "lot_gateway " LOT_VERSION);
   app.footer(kFooter);
