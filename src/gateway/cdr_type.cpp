@@ -6,6 +6,7 @@
 #include <cstring>
 #include <new>
 
+#include <dds/ddsi/q_protocol.h>
 #include <dds/ddsi/q_radmin.h>
 
 namespace lot::gateway {
@@ -24,7 +25,8 @@ struct Sample : ddsi_serdata {
   std::shared_ptr<CdrShared> shared;
   std::unique_ptr<Buffer> buffer;
   const std::byte* first = nullptr;
-  std::uint64_t size = 0;  ///< of the bytes; as many lie there as fill the last word
+  std::uint64_t size = 0;    ///< of the bytes; as many lie there as fill the last word
+  std::uint64_t number = 0;  ///< CdrSample::number()
 };
 
 const Sample& sample_of(const ddsi_serdata* data) noexcept {
@@ -72,10 +74,24 @@ std::unique_ptr<Sample> new_received(const ddsi_sertype* type, ddsi_serdata_kind
   return sample;
 }
 
+/// CycloneDDS tells a reader of samples nothing of their numbers. They stand in the head of the
+/// submessage, which lies in the same packet as the fragment; CycloneDDS has put its bytes into
+/// this machine's order.
+std::uint64_t number_of(const nn_rdata* fragment) {
+  Data_DataFrag_common_t head;
+  std::memcpy(&head, NN_RMSG_PAYLOADOFF(fragment->rmsg, NN_RDATA_SUBMSG_OFF(fragment)),
+              sizeof head);
+  const bool is_data =
+      head.smhdr.submessageId == SMID_DATA || head.smhdr.submessageId == SMID_DATA_FRAG;
+  if (!is_data) return 0;
+  return static_cast<std::uint64_t>(head.writerSN.high) << 32 | head.writerSN.low;
+}
+
 ddsi_serdata* from_fragments(const ddsi_sertype* type, ddsi_serdata_kind kind,
                              const nn_rdata* fragment, std::size_t size) noexcept try {
   std::byte* at = nullptr;
   std::unique_ptr<Sample> sample = new_received(type, kind, size, at);
+  if (at != nullptr) sample->number = number_of(fragment);
   std::uint64_t done = 0;
   for (; at != nullptr && fragment != nullptr; fragment = fragment->nextfrag) {
     const std::uint64_t end = std::min<std::uint64_t>(fragment->maxp1, size);
@@ -231,6 +247,8 @@ Bytes CdrSample::bytes() const noexcept {
   const Sample& sample = sample_of(data_);
   return {sample.first, sample.size};
 }
+
+std::uint64_t CdrSample::number() const noexcept { return sample_of(data_).number; }
 
 CdrTopic::CdrTopic(dds_entity_t participant, const std::string& name, const std::string& type,
                    std::uint64_t max_size)

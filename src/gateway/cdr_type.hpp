@@ -53,6 +53,9 @@ class CdrSample {
   [[nodiscard]] explicit operator bool() const noexcept { return data_ != nullptr; }
   /// All bytes of it. REQUIRES: there is one.
   Bytes bytes() const noexcept;
+  /// Which of its writer's samples it is, from 1 on. 0: it does not come from the network.
+  /// REQUIRES: there is one.
+  std::uint64_t number() const noexcept;
   /// When it was made, for its readers. REQUIRES: there is one, and DDS does not have it yet.
   void stamp(dds_time_t time) noexcept { data_->timestamp.v = time; }
   /// The share, which the caller gives to CycloneDDS.

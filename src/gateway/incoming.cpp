@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "gateway/incoming.hpp"
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <chrono>
@@ -8,6 +9,7 @@
 #include <new>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include "lot/error.hpp"
 
@@ -23,6 +25,8 @@ namespace {
 
 /// So many samples are taken at once.
 constexpr std::size_t kAtOnce = 16;
+/// So many writers may come while the route asks for them.
+constexpr std::size_t kMoreAtOnce = 16;
 /// What the wait says of the guard condition.
 constexpr dds_attach_t kStop = 1;
 
@@ -51,8 +55,8 @@ IncomingRoute::IncomingRoute(ShmEngine& engine, const Domain& domain, IncomingTo
   const Qos qos = qos_of(settings_.quality, "");
   reader_ = Entity(dds_create_reader(domain.participant(), cdr_.get(), qos.get(), nullptr),
                    what_.dds_topic, "make a reader");
-  constexpr std::uint32_t kNews =
-      DDS_DATA_AVAILABLE_STATUS | DDS_SUBSCRIPTION_MATCHED_STATUS | DDS_SAMPLE_LOST_STATUS;
+  constexpr std::uint32_t kNews = DDS_DATA_AVAILABLE_STATUS | DDS_SUBSCRIPTION_MATCHED_STATUS |
+                                  DDS_REQUESTED_DEADLINE_MISSED_STATUS;
   require(dds_set_status_mask(reader_.get(), kNews), what_.dds_topic, "choose what wakes");
   waiting_ = Entity(dds_create_waitset(domain.participant()), what_.dds_topic, "make a wait set");
   require(dds_waitset_attach(waiting_.get(), reader_.get(), 0), what_.dds_topic, "wait for it");
@@ -112,18 +116,33 @@ void IncomingRoute::note(const std::exception& error) noexcept try {
 }
 
 void IncomingRoute::look_at_writers() {
-  dds_sample_lost_status_t lost{};
-  require(dds_get_sample_lost_status(reader_.get(), &lost), what_.dds_topic, "count what is lost");
-  tally_.add(&Counts::lost, static_cast<std::uint64_t>(lost.total_count_change));
+  dds_requested_deadline_missed_status_t late{};
+  require(dds_get_requested_deadline_missed_status(reader_.get(), &late), what_.dds_topic,
+          "look for what is late");
+  if (late.total_count_change != 0) {
+    const std::string text = what_.topic + ": no message came within its deadline";
+    tally_.went_wrong(text.c_str());
+  }
   dds_subscription_matched_status_t matched{};
   require(dds_get_subscription_matched_status(reader_.get(), &matched), what_.dds_topic,
           "look for writers");
   if (matched.total_count_change == 0 && matched.current_count_change == 0) return;
-  writers_.clear();
-  if (matched.current_count != 0) return;
   while (take_some()) {
   }
-  publishing_.reset();
+  forget_writers(static_cast<std::size_t>(matched.current_count));
+  if (matched.current_count == 0) publishing_.reset();
+}
+
+void IncomingRoute::forget_writers(std::size_t about) {
+  std::vector<dds_instance_handle_t> here(about + kMoreAtOnce);
+  const dds_return_t count =
+      require(dds_get_matched_publications(reader_.get(), here.data(), here.size()),
+              what_.dds_topic, "look for writers");
+  if (std::cmp_greater(count, here.size())) return;  // as many have just come: the next time
+  here.resize(static_cast<std::size_t>(count));
+  std::erase_if(writers_, [&](const auto& entry) {
+    return std::ranges::find(here, entry.first) == here.end();
+  });
 }
 
 bool IncomingRoute::take_some() {
@@ -140,12 +159,18 @@ bool IncomingRoute::take_some() {
   return count != 0;
 }
 
-IncomingRoute::Writer IncomingRoute::judged(dds_instance_handle_t writer) {
+IncomingRoute::Known& IncomingRoute::known(dds_instance_handle_t writer) {
   const auto found = writers_.find(writer);
   if (found != writers_.end()) return found->second;
-  const Writer its = judge(writer);
-  writers_.emplace(writer, its);
-  return its;
+  return writers_.emplace(writer, Known{judge(writer), 0}).first->second;
+}
+
+void IncomingRoute::count_lost(Known& writer, std::uint64_t number) {
+  const std::uint64_t too_large = cdr_.too_large();
+  const std::uint64_t refused = too_large - std::exchange(too_large_, too_large);
+  const std::uint64_t gap = writer.next == 0 || number < writer.next ? 0 : number - writer.next;
+  tally_.add(&Counts::lost, gap - std::min(gap, refused));
+  writer.next = std::max(writer.next, number + 1);
 }
 
 IncomingRoute::Writer IncomingRoute::judge(dds_instance_handle_t writer) const try {
@@ -160,9 +185,10 @@ IncomingRoute::Writer IncomingRoute::judge(dds_instance_handle_t writer) const t
 }
 
 void IncomingRoute::carry(const CdrSample& sample, dds_instance_handle_t writer) {
-  const Writer its = judged(writer);
-  if (its == Writer::IsOfThisSegment) return tally_.add(&Counts::looped);
-  if (its == Writer::IsOfAnotherType) return tally_.add(&Counts::refused);
+  Known& its = known(writer);
+  count_lost(its, sample.number());
+  if (its.what == Writer::IsOfThisSegment) return tally_.add(&Counts::looped);
+  if (its.what == Writer::IsOfAnotherType) return tally_.add(&Counts::refused);
   if (!rate_.allows(RateLimit::Clock::now())) return tally_.add(&Counts::refused);
   try {
     begin_to_publish();

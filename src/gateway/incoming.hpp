@@ -62,6 +62,10 @@ class IncomingRoute {
  private:
   /// What is to be done with a writer's samples.
   enum class Writer { IsCarried, IsOfThisSegment, IsOfAnotherType };
+  struct Known {
+    Writer what;
+    std::uint64_t next;  ///< the number of its next sample; 0: none has come
+  };
 
   void run() noexcept;
   /// What had come before the route was to end.
@@ -72,7 +76,11 @@ class IncomingRoute {
   /// Some samples; false: there are none.
   bool take_some();
   void carry(const CdrSample& sample, dds_instance_handle_t writer);
-  Writer judged(dds_instance_handle_t writer);
+  Known& known(dds_instance_handle_t writer);
+  /// Forgets those that are not there any more. `about`: as many as there are.
+  void forget_writers(std::size_t about);
+  /// What the writer has sent before this sample, and what has not come.
+  void count_lost(Known& writer, std::uint64_t number);
   Writer judge(dds_instance_handle_t writer) const;
   void begin_to_publish();
 
@@ -92,7 +100,8 @@ class IncomingRoute {
     codec::Program program;  ///< of the pusher's type
   };
   std::optional<Publishing> publishing_;
-  std::unordered_map<dds_instance_handle_t, Writer> writers_;  ///< those it has met lately
+  std::unordered_map<dds_instance_handle_t, Known> writers_;  ///< whose samples have come
+  std::uint64_t too_large_ = 0;                               ///< those of cdr_ that are counted
   Tally tally_;
   std::thread thread_;  ///< the last member: it uses the others
 };

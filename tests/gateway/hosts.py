@@ -5,12 +5,14 @@ import os
 import pathlib
 import signal
 import subprocess
+import sys
 import tempfile
 import time
 
 NO_ROOT = 'containers with networks of their own need root'
 NO_NETWORK = 'no network between containers here'
 CABLE = 'lot0'
+FORWARDER = pathlib.Path(__file__).with_name('forwarder.py')
 PATIENCE_S = 60
 
 
@@ -42,11 +44,19 @@ class Program:
         return self.out.read_text(errors='replace')
 
     def wait_for(self, text):
+        self.wait_until(lambda: text in self.said(), repr(text))
+
+    def wait_until(self, is_true, what):
         until = time.monotonic() + PATIENCE_S
-        while text not in self.said():
+        while not is_true():
             if self.process.poll() is not None or time.monotonic() > until:
-                raise AssertionError(f'{self.name} does not say {text!r} (exit status {self.process.poll()}):\n{self.said()}')
+                raise AssertionError(f'{self.name} does not say {what} (exit status {self.process.poll()}):\n{self.said()}')
             time.sleep(0.02)
+
+    def wait_for_lines(self, more):
+        """Until it has said so many lines more than now."""
+        now = self.said().count('\n')
+        self.wait_until(lambda: self.said().count('\n') >= now + more, f'{more} more lines')
 
     def finish(self):
         """Waits until it ends by itself, and well."""
@@ -64,12 +74,17 @@ class Program:
 
 
 class Hosts:
-    """A context: two hosts, 0 and 1, each with an address, and a segment of its own."""
+    """A context: two hosts, 0 and 1, each with an address, and a segment of its own.
 
-    def __init__(self):
+    `bad`: their cable is one that loses: (seed, percent of the frames, milliseconds that the others take).
+    """
+
+    def __init__(self, bad=None):
         if os.geteuid() != 0:
             raise Refused(NO_ROOT)
         self.programs = []
+        self.bad = bad
+        self.forwarder = None
         self.folder = tempfile.TemporaryDirectory(prefix='lot_gateway.')
         self.holders = [subprocess.Popen(['setpriv', '--pdeathsig', 'KILL', 'unshare', '--net', 'sleep', 'infinity'],
                                          stderr=subprocess.DEVNULL) for _ in range(2)]
@@ -89,13 +104,20 @@ class Hosts:
                     raise Refused(NO_NETWORK)
                 time.sleep(0.01)
         a, b = (str(h.pid) for h in self.holders)
-        must('ip', 'link', 'add', CABLE, 'netns', a, 'type', 'veth', 'peer', 'name', CABLE, 'netns', b)
+        if self.bad is None:
+            must('ip', 'link', 'add', CABLE, 'netns', a, 'type', 'veth', 'peer', 'name', CABLE, 'netns', b)
+        else:
+            self.forwarder = Program('forwarder', [sys.executable, FORWARDER, CABLE, a, b, *self.bad], self.folder.name)
+            try:
+                self.forwarder.wait_for('ready')
+            except AssertionError as refused:
+                raise Refused(str(refused)) from refused
         for i in range(2):
             must(*self.inside(i), 'ip', 'address', 'add', f'{address(i)}/24', 'dev', CABLE)
             self.plug(i, True)
             must(*self.inside(i), 'ip', 'link', 'set', 'lo', 'up')
         # Programs pass over an interface that is not ready when they start.
-        while not all('state UP' in self.link(i) for i in range(2)):
+        while not all('LOWER_UP' in self.link(i) for i in range(2)):
             if time.monotonic() > until:
                 raise Refused(NO_NETWORK)
             time.sleep(0.01)
@@ -119,6 +141,15 @@ class Hosts:
         """The cable's end at that host."""
         must(*self.inside(host), 'ip', 'link', 'set', CABLE, 'up' if is_in else 'down')
 
+    def limit(self, host, rate):
+        """What that host sends goes no faster: a rate of tc."""
+        must(*self.inside(host), 'tc', 'qdisc', 'add', 'dev', CABLE, 'root', 'tbf', 'rate', rate, 'burst', '64kb', 'latency',
+             '50ms')
+
+    def heal(self):
+        """From now on the bad cable loses nothing."""
+        self.forwarder.process.send_signal(signal.SIGUSR1)
+
     def run(self, host, *command, **environment):
         """Begins a program on that host."""
         usual = {'LOT_SEGMENT': self.segments[host], 'LOT_SIZE': '256M', 'CYCLONEDDS_URI': ''}
@@ -130,6 +161,8 @@ class Hosts:
     def close(self):
         for program in self.programs:
             program.kill()
+        if self.forwarder is not None:
+            self.forwarder.kill(signal.SIGTERM)
         for holder in self.holders:
             holder.kill()
             holder.wait()

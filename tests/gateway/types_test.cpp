@@ -138,6 +138,7 @@ TEST_CASE("a message of any size comes through another domain as it was encoded"
     CHECK(bytes.size() % 4 == 0);
     require(dds_writecdr(writer.get(), sample.release()), "writer", "write");
     const CdrSample got = take(reader);
+    CHECK(got.number() == number);
     REQUIRE(got.bytes().size() == bytes.size());
     CHECK(std::memcmp(got.bytes().data(), bytes.data(), bytes.size()) == 0);
     AnyLoan loan = pusher.loan();
