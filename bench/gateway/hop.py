@@ -77,8 +77,9 @@ class Bench:
             settings = pathlib.Path(where.folder.name, f'{direction}.yaml')
             settings.write_text(GATEWAY.format(direction=direction, topic=topic), encoding='utf-8')
             running.append(where.run(host, self.gateway, '--config', settings, **environment))
-        there = [where.run(host, program, 'receive', topic, board, *words, **environment) for host in readers]
-        sender = where.run(0, program, 'send', topic, board, *words, **environment)
+        there = [where.run(host, program, 'receive', topic, board, *words, '--reader', number, **environment)
+                 for number, host in enumerate(readers)]
+        sender = where.run(0, program, 'send', topic, board, *words, '--readers', len(readers), **environment)
         for receiver in there:
             receiver.finish()
         sender.finish()

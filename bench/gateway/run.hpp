@@ -45,34 +45,39 @@ struct Settings {
   std::uint64_t period_us = 0;  ///< 0: as fast as the window allows
   std::uint32_t depth = 16;     ///< of the queue, and of KEEP_LAST
   std::uint64_t window = 8;     ///< frames that are under way at most
+  std::uint32_t readers = 1;    ///< the sender: that it waits for
+  std::uint32_t reader = 0;     ///< the receiver: which of them it is
 };
+constexpr std::uint32_t kMostReaders = 2;
 
-/// What sender and receiver know of each other, in a file that both have mapped: so nothing of it
+/// What sender and receivers know of each other, in a file that both have mapped: so nothing of it
 /// uses the network. Zero bytes are a run that has not begun.
 class Board {
  public:
   explicit Board(const std::string& file) {
     const int fd = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0600);
-    if (fd < 0 || ftruncate(fd, sizeof(Words)) != 0) throw std::runtime_error(file);
-    void* const at = mmap(nullptr, sizeof(Words), PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    if (fd < 0 || ftruncate(fd, kBytes) != 0) throw std::runtime_error(file);
+    void* const at = mmap(nullptr, kBytes, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
     close(fd);
     if (at == MAP_FAILED) throw std::runtime_error(file);
     words_ = static_cast<Words*>(at);
   }
   Board(const Board&) = delete;
   Board& operator=(const Board&) = delete;
-  ~Board() { munmap(words_, sizeof(Words)); }
+  ~Board() { munmap(words_, kBytes); }
 
-  /// The receiver: a frame without a number has come.
-  void connected() { set(words_->is_connected, 1); }
-  /// The receiver: it has used all frames before `next`.
-  void used(std::uint64_t next) { set(words_->used, static_cast<std::uint32_t>(next)); }
+  /// A receiver: a frame without a number has come.
+  void connected(std::uint32_t reader) { set(words_[reader].is_connected, 1); }
+  /// A receiver: it has used all frames before `next`.
+  void used(std::uint32_t reader, std::uint64_t next) {
+    set(words_[reader].used, static_cast<std::uint32_t>(next));
+  }
 
-  /// The sender: whether connected() was called, at the latest 20 ms from now.
-  bool is_connected() { return wait(words_->is_connected, 1, 20ms); }
-  /// The sender: until the receiver has used `count` frames. False: it has not for 10 s.
-  bool has_used(std::uint64_t count) {
-    return wait(words_->used, static_cast<std::uint32_t>(count), 10s);
+  /// The sender: whether this reader has called connected(), at the latest 20 ms from now.
+  bool is_connected(std::uint32_t reader) { return wait(words_[reader].is_connected, 1, 20ms); }
+  /// The sender: until this reader has used `count` frames. False: it has not for 10 s.
+  bool has_used(std::uint32_t reader, std::uint64_t count) {
+    return wait(words_[reader].used, static_cast<std::uint32_t>(count), 10s);
   }
 
  private:
@@ -81,6 +86,7 @@ class Board {
     Word is_connected;
     Word used;
   };
+  static constexpr std::size_t kBytes = kMostReaders * sizeof(Words);
 
   static void set(Word& word, std::uint32_t value) {
     word.store(value, std::memory_order_release);
@@ -98,7 +104,7 @@ class Board {
     }
   }
 
-  Words* words_ = nullptr;
+  Words* words_ = nullptr;  ///< of each reader
 };
 
 /// A frame that only shows that the way is open, and has so many bytes.
@@ -126,16 +132,21 @@ inline void use(const std::uint8_t* data, std::uint64_t bytes, std::uint64_t num
 template <class Send>
 void send_all(const Settings& settings, Send&& send) {
   Board board(settings.board);
-  while (!board.is_connected()) send(kNoNumber, kNoNumberBytes);
+  const auto all_have_used = [&](std::uint64_t count) {
+    for (std::uint32_t r = 0; r < settings.readers; ++r) (void)board.has_used(r, count);
+  };
+  for (std::uint32_t r = 0; r < settings.readers; ++r) {
+    while (!board.is_connected(r)) send(kNoNumber, kNoNumberBytes);
+  }
   const auto begin = Clock::now();
   for (std::uint64_t n = 0; n < settings.frames; ++n) {
     if (settings.period_us != 0) {
       std::this_thread::sleep_until(begin + n * std::chrono::microseconds(settings.period_us));
     }
-    if (n >= settings.window) (void)board.has_used(n - settings.window + 1);
+    if (n >= settings.window) all_have_used(n - settings.window + 1);
     send(n, settings.bytes);
   }
-  (void)board.has_used(settings.frames);
+  all_have_used(settings.frames);
 }
 
 /// What a receiver has seen. It prints one line of JSON.
@@ -151,7 +162,7 @@ class Receipt {
     const std::uint64_t now = now_ns();
     use(data, bytes, number);
     if (number == kNoNumber) {
-      board_.connected();
+      board_.connected(settings_.reader);
       return true;
     }
     if (bytes != settings_.bytes || number >= settings_.frames) throw std::runtime_error("size");
@@ -161,7 +172,7 @@ class Receipt {
     } else {
       first_ns_ = now_ns();
     }
-    board_.used(number + 1);
+    board_.used(settings_.reader, number + 1);
     return number + 1 != settings_.frames;
   }
 
@@ -198,6 +209,8 @@ int main_of(int argc, char** argv, const char* name, Work&& work) {
   app.add_option("--period-us", settings.period_us);
   app.add_option("--depth", settings.depth)->check(CLI::Range(1, 1024));
   app.add_option("--window", settings.window)->check(CLI::Range(1, 64));
+  app.add_option("--readers", settings.readers)->check(CLI::Range(1U, kMostReaders));
+  app.add_option("--reader", settings.reader)->check(CLI::Range(0U, kMostReaders - 1));
   CLI11_PARSE(app, argc, argv);
   try {
     work(settings);
