@@ -51,6 +51,7 @@ void receive(const Settings& settings) {
 void futex(const Settings& settings) {
   struct Shared {
     std::atomic<std::uint32_t> word;
+    std::atomic<std::uint32_t> seen;  ///< by the other process, which is about to sleep
     std::atomic<std::uint64_t> stamp_ns;
   };
   void* const at =
@@ -63,6 +64,7 @@ void futex(const Settings& settings) {
     const auto begin = Clock::now();
     for (std::uint32_t n = 0; n < settings.frames; ++n) {
       std::this_thread::sleep_until(begin + n * std::chrono::microseconds(settings.period_us));
+      while (shared.seen.load(std::memory_order_acquire) != n) std::this_thread::sleep_for(100us);
       shared.stamp_ns.store(now_ns(), std::memory_order_relaxed);
       shared.word.store(n + 1, std::memory_order_release);
       syscall(SYS_futex, &shared.word, FUTEX_WAKE, 1, nullptr, nullptr, 0);
@@ -74,12 +76,13 @@ void futex(const Settings& settings) {
     syscall(SYS_futex, &shared.word, FUTEX_WAIT, seen, nullptr, nullptr, 0);
     const std::uint64_t now = now_ns();
     const std::uint32_t next = shared.word.load(std::memory_order_acquire);
-    const bool is_woken = next == seen + 1 && seen >= settings.warm_up;
-    if (is_woken) {
+    if (next == seen) continue;
+    if (seen >= settings.warm_up) {
       const std::uint64_t then = shared.stamp_ns.load(std::memory_order_relaxed);
       latencies.push_back(static_cast<double>(now - then) / 1e3);
     }
     seen = next;
+    shared.seen.store(seen, std::memory_order_release);
   }
   waitpid(sender, nullptr, 0);
   munmap(at, sizeof(Shared));

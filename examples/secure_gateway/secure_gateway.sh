@@ -45,6 +45,7 @@ start_program() {  # BOX ROLE
   started+=($!)
 }
 
+trap '' USR1  # for a gateway that has begun, and does not know that signal yet
 start_gateway planner "$place/ours/planner.xml" --out /control
 start_gateway operator "$place/ours/operator.xml" --in /control
 start_gateway none "" --in /control

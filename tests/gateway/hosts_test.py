@@ -38,6 +38,13 @@ class Case(unittest.TestCase):
     def gateway(self, host, *words):
         return self.hosts.run(host, GATEWAY, '--interface', hosts.CABLE, *words)
 
+    def finish(self, program):
+        """As the program's own; where it does not, with what all programs have said."""
+        try:
+            program.finish()
+        except AssertionError as wrong:
+            raise AssertionError('\n-- '.join([str(wrong), *(f'{p.name}:\n{p.said()}' for p in self.hosts.programs)])) from wrong
+
     def both_ways(self, there, name, sizes=SIZES):
         """Frames of all sizes between NODE on host 0, behind a gateway, and what `there` runs on host 1."""
         for size, period in sizes:
@@ -47,7 +54,7 @@ class Case(unittest.TestCase):
                 sent = [self.hosts.run(0, NODE, 'send', '/forth', size, period),
                         self.hosts.run(1, there, 'send', name('/back'), size, period)]
                 for program in seen:
-                    program.finish()
+                    self.finish(program)
                 for program in sent:
                     program.kill(signal.SIGTERM)
 

@@ -69,6 +69,8 @@ class Gateway {
     exit_ = child_.wait();
     return lines();
   }
+  /// Waits until it has ended by itself: its exit status.
+  int ends() { return exit_ = child_.wait(); }
   /// What it has carried until now.
   std::map<std::string, Line> look() {
     truncate(out_.c_str(), 0);

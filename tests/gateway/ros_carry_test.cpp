@@ -163,8 +163,7 @@ TEST_CASE("a type that the gateway does not know is a mistake on the command lin
     CAPTURE(word);
     Gateway in(host.where, {"--in", word});
     REQUIRE(in.says("the gateway knows no fields of a type"));
-    (void)in.end();
-    CHECK(in.exit() == 2);
+    CHECK(in.ends() == 2);
   }
 }
 
