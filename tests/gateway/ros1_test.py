@@ -76,12 +76,13 @@ class Ros1(unittest.TestCase):
             print(f'skipped: {hosts.NO_ROOT if os.geteuid() != 0 else hosts.NO_NETWORK}')
             self.skipTest(str(refused))
         self.addCleanup(both.close)
-        with graph.Graph(inside=both.inside(0), host=hosts.address(0)) as ros:
+        inside = ['setpriv', '--pdeathsig', 'KILL', *both.inside(0)]
+        with graph.Graph(inside=inside, host=hosts.address(0)) as ros:
             settings = ros.home / 'gateway.yaml'
             settings.write_text(SETTINGS, encoding='utf-8')
             for verb in 'subscribe', 'publish':  # what goes over links alone, no observer sees
-                ros.run([*both.inside(0), NODE, verb])
-            gateway = ros.run([*both.inside(0), GATEWAY, '--interface', hosts.CABLE, '--config', settings],
+                ros.run([*inside, NODE, verb])
+            gateway = ros.run([*inside, GATEWAY, '--interface', hosts.CABLE, '--config', settings],
                               CYCLONEDDS_URI='')
             for (topic, name), expected in EXPECTED.items():
                 with self.subTest(topic=topic):
