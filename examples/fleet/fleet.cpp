@@ -25,22 +25,26 @@ struct Stamp {
   std::uint64_t number = 0;
   std::uint64_t pushed_ns = 0;  // steady clock: the boxes of this example are one machine
 };
+LOT_DESCRIBE(Stamp, number, pushed_ns)  // what ROS 2 calls the fields; C++20 needs no such lines
 
 struct Image {
   Stamp stamp;
   lot::ShmVector<std::uint8_t> pixels;
 };
+LOT_DESCRIBE(Image, stamp, pixels)
 
 struct Control {
   Stamp stamp;
   double speed = 0;
   double turn = 0;
 };
+LOT_DESCRIBE(Control, stamp, speed, turn)
 
 struct Map {
   Stamp stamp;
   lot::ShmVector<std::uint8_t> cells;
 };
+LOT_DESCRIBE(Map, stamp, cells)
 
 }  // namespace fleet
 
