@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <mutex>
 #include <string>
@@ -23,6 +25,11 @@ struct Counts {
   std::string error;          ///< the last one
 };
 
+/// The counts that are numbers.
+inline constexpr std::array<std::uint64_t Counts::*, 8> kNumbers = {
+    &Counts::carried, &Counts::bytes,   &Counts::missed,  &Counts::before,
+    &Counts::lost,    &Counts::refused, &Counts::damaged, &Counts::looped};
+
 /// Counts, while the route's thread works and others look.
 ///
 /// Threads: all members may be called at once.
@@ -37,6 +44,20 @@ class Tally {
     const std::lock_guard guard(mutex_);
     ++counts_.carried;
     counts_.bytes += bytes;
+  }
+  /// carried() was said too early: DDS had no room.
+  void was_lost(std::uint64_t bytes) {
+    const std::lock_guard guard(mutex_);
+    --counts_.carried;
+    counts_.bytes -= bytes;
+    ++counts_.lost;
+  }
+  /// Adds to `begin`, as kNumbers.
+  std::array<std::uint64_t, kNumbers.size()> numbers(
+      std::array<std::uint64_t, kNumbers.size()> begin) const {
+    const std::lock_guard guard(mutex_);
+    for (std::size_t i = 0; i < kNumbers.size(); ++i) begin[i] += counts_.*kNumbers[i];
+    return begin;
   }
   void went_wrong(const char* what) {
     const std::lock_guard guard(mutex_);

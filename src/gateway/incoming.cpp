@@ -42,13 +42,16 @@ std::string user_data_of_writer(dds_entity_t reader, dds_instance_handle_t write
 }  // namespace
 
 IncomingRoute::IncomingRoute(ShmEngine& engine, const Domain& domain, IncomingTopic what,
-                             const RouteSettings& settings)
+                             const RouteSettings& settings, Ledger::Entry* entry)
     : engine_(engine),
       what_(std::move(what)),
       settings_(settings),
       stream_(what_.topic, what_.type),
       dds_type_(dds_type_of(stream_.schema.name)),
       cdr_(domain.participant(), what_.dds_topic, dds_type_, what_.max_size),
+      entry_(entry),
+      progress_(entry == nullptr ? Progress() : entry->told()),
+      counts_before_(progress_.counts),
       stopping_(dds_create_guardcondition(domain.participant()), what_.dds_topic,
                 "make a condition"),
       rate_(settings_.limits.max_rate) {
@@ -154,7 +157,9 @@ bool IncomingRoute::take_some() {
   std::array<CdrSample, kAtOnce> samples;
   for (std::size_t i = 0; i < kAtOnce; ++i) samples[i] = CdrSample(taken[i]);
   for (std::size_t i = 0; std::cmp_less(i, count); ++i) {
-    if (infos[i].valid_data) carry(samples[i], infos[i].publication_handle);
+    if (!infos[i].valid_data) continue;
+    carry(samples[i], infos[i].publication_handle);
+    write_down();
   }
   return count != 0;
 }
@@ -162,26 +167,38 @@ bool IncomingRoute::take_some() {
 IncomingRoute::Known& IncomingRoute::known(dds_instance_handle_t writer) {
   const auto found = writers_.find(writer);
   if (found != writers_.end()) return found->second;
-  return writers_.emplace(writer, Known{judge(writer), 0}).first->second;
+  return writers_.emplace(writer, judge(writer)).first->second;
 }
 
 void IncomingRoute::count_lost(Known& writer, std::uint64_t number) {
   const std::uint64_t too_large = cdr_.too_large();
   const std::uint64_t refused = too_large - std::exchange(too_large_, too_large);
-  const std::uint64_t gap = writer.next == 0 || number < writer.next ? 0 : number - writer.next;
+  const std::uint64_t position = writer.before + number;
+  const std::uint64_t next = writer.line == 0 ? writer.next : progress_.next_of(writer.line);
+  const std::uint64_t gap = next == 0 || position < next ? 0 : position - next;
   tally_.add(&Counts::lost, gap - std::min(gap, refused));
-  writer.next = std::max(writer.next, number + 1);
+  const std::uint64_t then = std::max(next, position + 1);
+  writer.next = then;
+  if (writer.line != 0) progress_.set_next(writer.line, then);
 }
 
-IncomingRoute::Writer IncomingRoute::judge(dds_instance_handle_t writer) const try {
+void IncomingRoute::write_down() noexcept {
+  if (entry_ == nullptr) return;
+  progress_.counts = tally_.numbers(counts_before_);
+  entry_->write(progress_);
+}
+
+IncomingRoute::Known IncomingRoute::judge(dds_instance_handle_t writer) const try {
   const std::optional<Peer> peer = peer_of(user_data_of_writer(reader_.get(), writer));
-  if (!peer) return Writer::IsCarried;
-  if (peer->segment == what_.place) return Writer::IsOfThisSegment;
+  if (!peer) return {Writer::IsCarried, 0, 0, 0};
   // A message of ROS 2 is what its name says, as it is of a writer that says nothing more.
   const bool is_another = peer->type && !peer->type.is_same(what_.type) && !is_ros_type(dds_type_);
-  return is_another ? Writer::IsOfAnotherType : Writer::IsCarried;
+  const Writer what = peer->segment == what_.place ? Writer::IsOfThisSegment
+                      : is_another                 ? Writer::IsOfAnotherType
+                                                   : Writer::IsCarried;
+  return {what, peer->ledger, peer->written, 0};
 } catch (const Error&) {
-  return Writer::IsOfAnotherType;  // it says a type that can be none
+  return {Writer::IsOfAnotherType, 0, 0, 0};  // it says a type that can be none
 }
 
 void IncomingRoute::carry(const CdrSample& sample, dds_instance_handle_t writer) {

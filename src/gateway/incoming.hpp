@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <string>
@@ -16,6 +17,7 @@
 #include "gateway/counts.hpp"
 #include "gateway/domain.hpp"
 #include "gateway/entity.hpp"
+#include "gateway/ledger.hpp"
 #include "gateway/rate_limit.hpp"
 #include "gateway/settings.hpp"
 #include "record/stream.hpp"
@@ -43,8 +45,9 @@ struct IncomingTopic {
 /// Crash:   as a publisher.
 class IncomingRoute {
  public:
+  /// `entry` outlives the route; null: it has none.
   IncomingRoute(ShmEngine& engine, const Domain& domain, IncomingTopic what,
-                const RouteSettings& settings);
+                const RouteSettings& settings, Ledger::Entry* entry);
   ~IncomingRoute() { end(); }
   IncomingRoute(const IncomingRoute&) = delete;
   IncomingRoute& operator=(const IncomingRoute&) = delete;
@@ -64,7 +67,10 @@ class IncomingRoute {
   enum class Writer { IsCarried, IsOfThisSegment, IsOfAnotherType };
   struct Known {
     Writer what;
-    std::uint64_t next;  ///< the number of its next sample; 0: none has come
+    std::uint64_t line;    ///< of Progress: its gateway's ledger. 0: it has none
+    std::uint64_t before;  ///< samples of that line before its first one
+    /// The number of its next sample, where it has no line. 0: none has come.
+    std::uint64_t next;
   };
 
   void run() noexcept;
@@ -76,12 +82,14 @@ class IncomingRoute {
   /// Some samples; false: there are none.
   bool take_some();
   void carry(const CdrSample& sample, dds_instance_handle_t writer);
+  /// What a gateway that comes after a kill has to know.
+  void write_down() noexcept;
   Known& known(dds_instance_handle_t writer);
   /// Forgets those that are not there any more. `about`: as many as there are.
   void forget_writers(std::size_t about);
   /// What the writer has sent before this sample, and what has not come.
   void count_lost(Known& writer, std::uint64_t number);
-  Writer judge(dds_instance_handle_t writer) const;
+  Known judge(dds_instance_handle_t writer) const;
   void begin_to_publish();
 
   ShmEngine& engine_;
@@ -90,7 +98,10 @@ class IncomingRoute {
   const record::Stream stream_;
   const std::string dds_type_;
   const CdrTopic cdr_;
-  Entity stopping_;  ///< a guard condition
+  Ledger::Entry* const entry_;
+  Progress progress_;
+  const std::array<std::uint64_t, kNumbers.size()> counts_before_;  ///< of earlier routes
+  Entity stopping_;                                                 ///< a guard condition
   Entity reader_;
   Entity waiting_;
   RateLimit rate_;

@@ -42,10 +42,7 @@ std::optional<std::string> name_here(const RouteSettings& row, const std::string
 }
 
 void add_up(Counts& sum, const Counts& more) {
-  for (const auto count : {&Counts::carried, &Counts::bytes, &Counts::missed, &Counts::before,
-                           &Counts::lost, &Counts::refused, &Counts::damaged, &Counts::looped}) {
-    sum.*count += more.*count;
-  }
+  for (const auto count : kNumbers) sum.*count += more.*count;
   if (!more.error.empty()) sum.error = more.error;
 }
 
@@ -57,6 +54,7 @@ void put_in(std::vector<Report::Route>& routes, Report::Route route) {
     routes.push_back(std::move(route));
   } else {
     add_up(found->counts, route.counts);
+    if (route.is_there) found->dds_topic = route.dds_topic;
     found->is_there = found->is_there || route.is_there;
   }
 }
@@ -77,6 +75,7 @@ Keeper::Keeper(Settings settings, const Join& join)
       waiting_(dds_create_waitset(domain_.participant()), "discovery", "make a wait set") {
   require(dds_waitset_attach(waiting_.get(), discovery_.get(), 0), "discovery", "wait for it");
   this->join();
+  go_on_counting();
 }
 
 Keeper::~Keeper() { leave(); }
@@ -88,6 +87,18 @@ void Keeper::join() {
   participant_ = join_();
   engine_.emplace(participant_);
   place_ = place_of(participant_->segment());
+  if (!settings_.state.empty()) ledger_.emplace(settings_.state, place_);
+}
+
+void Keeper::go_on_counting() {
+  if (!ledger_) return;
+  ledger_->for_each([&](Ledger::Way way, std::string_view topic, const Progress& progress) {
+    Report::Route route{way == Ledger::Way::Out, std::string(topic), "", false, {}};
+    for (std::size_t i = 0; i < kNumbers.size(); ++i) {
+      route.counts.*kNumbers[i] = progress.counts[i];
+    }
+    put_in(ended_, std::move(route));
+  });
 }
 
 void Keeper::leave() {
@@ -95,6 +106,7 @@ void Keeper::leave() {
   for (const auto& [topic, route] : incoming_) retire(*route);
   outgoing_.clear();
   incoming_.clear();
+  ledger_.reset();
   engine_.reset();
   participant_.reset();
   version_.reset();
@@ -220,8 +232,8 @@ void Keeper::begin_outgoing(const std::string& topic, const RouteSettings& setti
   using From = OutgoingRoute::From;
   const bool is_latched = settings.quality.durability == Durability::TransientLocal;
   const From from = has_begun_ ? From::TheOldest : is_latched ? From::Latched : From::Now;
-  outgoing_[topic] =
-      std::make_unique<OutgoingRoute>(*engine_, domain_, topic, settings, from, place_);
+  outgoing_[topic] = std::make_unique<OutgoingRoute>(*engine_, domain_, topic, settings, from,
+                                                     place_, ledger_ ? &*ledger_ : nullptr);
   refused_.erase(topic);
 }
 
@@ -338,8 +350,9 @@ void Keeper::begin_incoming(const std::string& topic, const Wanted& wanted) {
   IncomingTopic what{topic,           wanted.dds_topic,
                      std::move(type), settings_.domain.max_size,
                      place_,          participant_->segment().size() / kPartOfTheSegment};
+  Ledger::Entry* const entry = ledger_ ? ledger_->entry(Ledger::Way::In, topic) : nullptr;
   incoming_[topic] =
-      std::make_unique<IncomingRoute>(*engine_, domain_, std::move(what), wanted.settings);
+      std::make_unique<IncomingRoute>(*engine_, domain_, std::move(what), wanted.settings, entry);
   refused_.erase(topic);
 }
 

@@ -16,6 +16,7 @@
 #include "gateway/domain.hpp"
 #include "gateway/entity.hpp"
 #include "gateway/incoming.hpp"
+#include "gateway/ledger.hpp"
 #include "gateway/outgoing.hpp"
 #include "gateway/ros_graph.hpp"
 #include "gateway/settings.hpp"
@@ -83,6 +84,8 @@ class Keeper {
 
   void join();
   void leave();
+  /// What an earlier gateway with the same ledger has counted.
+  void go_on_counting();
   bool must_leave() const;
   void look();
   void find_outgoing();
@@ -113,7 +116,8 @@ class Keeper {
   Entity waiting_;
   std::shared_ptr<transport::Participant> participant_;
   std::optional<ShmEngine> engine_;
-  std::string place_;                     ///< of the segment
+  std::string place_;  ///< of the segment
+  std::optional<Ledger> ledger_;
   std::optional<std::uint32_t> version_;  ///< of the directory, at the last look
   bool again_ = false;                    ///< the next look looks at everything
   bool has_begun_ = false;                ///< what comes now comes later

@@ -45,6 +45,7 @@ struct Arguments {
   std::vector<std::string> in;
   std::string file;
   std::string segment;
+  std::string state;
   int domain = -1;
   std::string interface;
 };
@@ -77,6 +78,7 @@ Settings settings_of(const Arguments& arguments) {
   if (!arguments.file.empty()) read_settings(arguments.file, settings);
   if (arguments.domain >= 0) settings.domain.id = static_cast<std::uint32_t>(arguments.domain);
   if (!arguments.interface.empty()) settings.domain.interface = arguments.interface;
+  settings.state = arguments.state;
   return settings;
 }
 
@@ -182,6 +184,9 @@ int run(int argc, char** argv) {
       ->type_name("NUMBER");
   app.add_option("--interface", arguments.interface, "a network interface: its name, or address")
       ->type_name("NAME");
+  app.add_option("--state", arguments.state,
+                 "a file by which a gateway that is started again counts what was lost meanwhile")
+      ->type_name("FILE");
   app.add_option("-s,--segment", arguments.segment, "the segment (LOT_SEGMENT)")->type_name("NAME");
   app.set_version_flag("--version", "lot_gateway " LOT_VERSION);
   app.footer(kFooter);

@@ -67,14 +67,19 @@ dds_time_t time_of(const Envelope& envelope) {
 }  // namespace
 
 OutgoingRoute::OutgoingRoute(ShmEngine& engine, const Domain& domain, std::string topic,
-                             const RouteSettings& settings, From from, const std::string& place)
+                             const RouteSettings& settings, From from, const std::string& place,
+                             Ledger* ledger)
     : topic_(std::move(topic)),
       settings_(settings),
       dds_topic_(dds_topic_for(topic_, settings_)),
       puller_(puller_of(engine, topic_, from)),
       stream_(topic_, puller_.type()),
-      cdr_(domain.participant(), dds_topic_, dds_type_of(stream_.schema.name), kAnySize) {
-  const Qos qos = qos_of(settings_.quality, user_data_of({place, stream_.type}));
+      cdr_(domain.participant(), dds_topic_, dds_type_of(stream_.schema.name), kAnySize),
+      entry_(ledger == nullptr ? nullptr : ledger->entry(Ledger::Way::Out, topic_)),
+      progress_(entry_ == nullptr ? Progress() : entry_->told()),
+      counts_before_(progress_.counts) {
+  const Peer peer{place, stream_.type, entry_ == nullptr ? 0 : ledger->id(), progress_.written};
+  const Qos qos = qos_of(settings_.quality, user_data_of(peer));
   writer_ = Entity(dds_create_writer(domain.participant(), cdr_.get(), qos.get(), nullptr),
                    dds_topic_, "make a writer");
   thread_ = begin_thread("lot-out", topic_, [this] { run(); });
@@ -132,30 +137,46 @@ bool OutgoingRoute::note(const std::exception& error) noexcept try {
 bool OutgoingRoute::may_carry(const Envelope& from) {
   tally_.add(&Counts::missed, from.missed);
   if (publishers_.insert(from.publisher_id).second) {
-    tally_.add(&Counts::before, from.sequence - std::min(from.sequence, from.missed));
+    const std::uint64_t known = from.missed + progress_.next_of(from.publisher_id);
+    tally_.add(&Counts::before, from.sequence - std::min(from.sequence, known));
   }
+  progress_.set_next(from.publisher_id, from.sequence + 1);
   if (from.publisher != kProcessName) return true;
   tally_.add(&Counts::looped);
   return false;
 }
 
+void OutgoingRoute::write_down() noexcept {
+  if (entry_ == nullptr) return;
+  progress_.counts = tally_.numbers(counts_before_);
+  entry_->write(progress_);
+}
+
 void OutgoingRoute::carry(AnyBorrow& message) {
   const Envelope from = message.envelope();
-  if (!may_carry(from)) return;
+  if (!may_carry(from)) return write_down();
   CdrSample sample;
   try {
     sample = cdr_.sample(stream_.program, message.root());
   } catch (const Error& e) {
     if (e.error_number() == ESTALE) throw;
     tally_.add(&Counts::damaged);
-    return tally_.went_wrong(e.what());
+    tally_.went_wrong(e.what());
+    return write_down();
   }
   message.end();
   const std::uint64_t bytes = sample.bytes().size();
   sample.stamp(time_of(from));
+  // Written down first. Killed before DDS has the sample: its number is missing there, and so the
+  // gateways that it does not reach count it.
+  ++progress_.written;
+  tally_.carried(bytes);
+  write_down();
   const dds_return_t result = dds_forwardcdr(writer_.get(), sample.release());
-  if (result == DDS_RETCODE_OK) return tally_.carried(bytes);
-  tally_.add(&Counts::lost);
+  if (result == DDS_RETCODE_OK) return;
+  --progress_.written;
+  tally_.was_lost(bytes);
+  write_down();
   require(result == DDS_RETCODE_TIMEOUT ? DDS_RETCODE_OK : result, dds_topic_, "write");
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <string>
 #include <thread>
@@ -15,6 +16,7 @@
 #include "gateway/counts.hpp"
 #include "gateway/domain.hpp"
 #include "gateway/entity.hpp"
+#include "gateway/ledger.hpp"
 #include "gateway/settings.hpp"
 #include "record/stream.hpp"
 
@@ -39,9 +41,10 @@ class OutgoingRoute {
     Latched,    ///< with the last message of each
     TheOldest,  ///< with all that they have
   };
-  /// `topic`: its name in the segment. `place`: place_of() the segment.
+  /// `topic`: its name in the segment. `place`: place_of() the segment. `ledger` outlives the
+  /// route; null: there is none.
   OutgoingRoute(ShmEngine& engine, const Domain& domain, std::string topic,
-                const RouteSettings& settings, From from, const std::string& place);
+                const RouteSettings& settings, From from, const std::string& place, Ledger* ledger);
   ~OutgoingRoute() { end(); }
   OutgoingRoute(const OutgoingRoute&) = delete;
   OutgoingRoute& operator=(const OutgoingRoute&) = delete;
@@ -64,6 +67,8 @@ class OutgoingRoute {
   /// True: the route can do nothing more.
   bool note(const std::exception& error) noexcept;
   void carry(AnyBorrow& message);
+  /// What a gateway that comes after a kill has to know.
+  void write_down() noexcept;
   /// False: no gateway may carry it.
   bool may_carry(const Envelope& from);
 
@@ -73,6 +78,9 @@ class OutgoingRoute {
   AnyPuller puller_;
   const record::Stream stream_;
   const CdrTopic cdr_;
+  Ledger::Entry* const entry_;  ///< null: it has none
+  Progress progress_;
+  const std::array<std::uint64_t, kNumbers.size()> counts_before_;  ///< of earlier routes
   Entity writer_;
   Tally tally_;
   std::unordered_set<std::uint64_t> publishers_;  ///< those it has met

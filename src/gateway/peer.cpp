@@ -2,9 +2,11 @@
 #include "gateway/peer.hpp"
 
 #include <cerrno>
+#include <charconv>
 #include <cstdint>
 #include <fstream>
 #include <sys/stat.h>
+#include <system_error>
 
 #include "lot/error.hpp"
 
@@ -16,8 +18,10 @@ namespace lot::gateway {
 namespace {
 
 constexpr const char* kSegment = "lot.segment";
+constexpr const char* kLedger = "lot.ledger";
+constexpr const char* kWritten = "lot.written";
 /// DDS sends user data in one piece, in which other things must have room, too.
-constexpr std::size_t kMostBytes = 60'000;
+constexpr std::size_t kMostUserData = 60'000;
 constexpr std::string_view kHex = "0123456789abcdef";
 
 /// Of keys and values: what separates them is written as %XX.
@@ -57,6 +61,16 @@ std::string text_of(const mcap::Pairs& pairs) {
   return text;
 }
 
+/// 0: it is not there, or no number.
+std::uint64_t number_in(const mcap::Pairs& pairs, const char* key) {
+  const auto found = pairs.find(key);
+  std::uint64_t number = 0;
+  if (found == pairs.end()) return 0;
+  const std::string& text = found->second;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+  return error == std::errc() && end == text.data() + text.size() ? number : 0;
+}
+
 mcap::Pairs pairs_of_text(std::string_view text) {
   mcap::Pairs pairs;
   while (!text.empty()) {
@@ -82,19 +96,24 @@ std::string place_of(const segment::Segment& segment) {
 }
 
 std::string user_data_of(const Peer& peer) {
+  mcap::Pairs own{{kSegment, peer.segment}};
+  if (peer.ledger != 0) {
+    own[kLedger] = std::to_string(peer.ledger);
+    own[kWritten] = std::to_string(peer.written);
+  }
   mcap::Pairs pairs;
   if (peer.type) pairs = record::pairs_of(peer.type);
-  pairs[kSegment] = peer.segment;
-  std::string text = text_of(pairs);
-  if (text.size() > kMostBytes) text = text_of({{kSegment, peer.segment}});
-  return text;
+  pairs.insert(own.begin(), own.end());
+  const std::string text = text_of(pairs);
+  return text.size() > kMostUserData ? text_of(own) : text;
 }
 
 std::optional<Peer> peer_of(std::string_view user_data) {
   const mcap::Pairs pairs = pairs_of_text(user_data);
   const auto segment = pairs.find(kSegment);
   if (segment == pairs.end()) return std::nullopt;
-  return Peer{segment->second, record::type_of(pairs)};
+  return Peer{segment->second, record::type_of(pairs), number_in(pairs, kLedger),
+              number_in(pairs, kWritten)};
 }
 
 }  // namespace lot::gateway

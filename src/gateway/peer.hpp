@@ -18,6 +18,10 @@ namespace lot::gateway {
 struct Peer {
   std::string segment;  ///< where its messages come from: place_of()
   AnyType type;         ///< what they are in LOT; none: it is not known, or could not be said
+  /// The gateway's Ledger, which counts the samples of all of its writers of a topic. 0: it has
+  /// none.
+  std::uint64_t ledger = 0;
+  std::uint64_t written = 0;  ///< samples that its earlier writers of the topic had written
 };
 
 /// Tells apart the segments of all machines. Throws lot::Error (a system call failed),

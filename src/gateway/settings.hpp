@@ -57,6 +57,8 @@ struct Settings {
   std::vector<RouteSettings> in;
   /// Topics that come in at once: a pattern fits as many as the network likes.
   std::size_t most_incoming = 256;
+  /// The file of its Ledger. Empty: it has none.
+  std::string state;
   /// What ROS 2 calls the gateway.
   std::string node = kProcessName;
   /// Of an identity in ROS 2's messages: 24 up to Humble, 16 from Iron on.

@@ -226,6 +226,89 @@ TEST_CASE("a gateway that was killed is started again, and goes on") {
   CHECK(out.end()["out /notes"].before != 0);
 }
 
+/// Notes from one segment to the other: how many were pushed, and how many have come.
+struct Stream {
+  Host a;
+  Host b;
+  ShmPusher<Note> pusher = a.engine.advertise<Note>("/notes");
+  ShmPuller<Note> puller = b.engine.subscribe<Note>("/notes");
+  std::uint64_t pushed = 0;
+  std::uint64_t came = 0;
+  std::uint64_t last = 0;  ///< the number of the last one that has come
+
+  void push(int notes) {
+    for (int i = 0; i < notes; ++i) {
+      push_note(pusher, ++pushed);
+      look(200us);
+    }
+  }
+  /// Pushes until the last note has come: then none is under way.
+  void settle() {
+    REQUIRE(eventually(
+        [&] {
+          push(1);
+          look(50ms);
+          return last == pushed;
+        },
+        60s));
+  }
+  void look(std::chrono::microseconds most) {
+    for (auto note = puller.pull(most); note; note = puller.try_pull()) {
+      check_note(*note, note->number);
+      REQUIRE(note->number > last);
+      last = note->number;
+      ++came;
+    }
+  }
+};
+
+TEST_CASE("what has come and what is counted is all that was published, over kills of either") {
+  const Watchdog watchdog(170);
+  Stream notes;
+  const File out_settings("out:\n  - {topics: /notes, depth: 1000}");
+  const File in_settings("in:\n  - {topics: /notes, depth: 1000}");
+  const auto begin_out = [&] {
+    return Gateway(notes.a.where,
+                   {"--config", out_settings.path, "--state", out_settings.path + ".state"});
+  };
+  const auto begin_in = [&] {
+    return Gateway(notes.b.where,
+                   {"--config", in_settings.path, "--state", in_settings.path + ".state"});
+  };
+  Gateway out = begin_out();
+  Gateway in = begin_in();
+  const auto counted = [&] {
+    const Line sent = out.look()["out /notes"];
+    const Line got = in.look()["in /notes"];
+    return sent.before + sent.missed + sent.lost + sent.damaged + got.lost + got.refused +
+           got.damaged;
+  };
+  notes.settle();
+  const std::uint64_t counted_before = counted();
+  const std::uint64_t pushed_before = notes.pushed;
+  const std::uint64_t came_before = notes.came;
+  constexpr std::uint64_t kKills = 4;  // of each
+  for (std::uint64_t i = 0; i < kKills; ++i) {
+    for (const bool is_out : {true, false}) {
+      notes.push(60);
+      (is_out ? out : in).kill9();
+      notes.push(30);
+      (is_out ? out : in) = is_out ? begin_out() : begin_in();
+      notes.settle();
+    }
+  }
+  const std::uint64_t published = notes.pushed - pushed_before;
+  const std::uint64_t lost = counted() - counted_before;
+  const std::uint64_t came = notes.came - came_before;
+  CAPTURE(published);
+  CAPTURE(lost);
+  CAPTURE(came);
+  CHECK(notes.puller.missed_total() == 0);
+  CHECK(lost != 0);
+  CHECK(came + lost >= published);
+  CHECK(came + lost <= published + kKills);  // the note whose push a kill cuts may be counted, too
+}
+
 TEST_CASE("a latched topic reaches a gateway and a subscriber that come later") {
   const Watchdog watchdog(60);
   Host a;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 
-// What a gateway is told, and what gateways tell each other: names, files of settings, user data,
-// rates.
+// What a gateway is told, what gateways tell each other, and what one tells its successor: names,
+// files of settings, user data, ledgers, rates.
 
 #include <cerrno>
 #include <chrono>
@@ -12,6 +12,7 @@
 
 #include "lot/lot.hpp"
 
+#include "gateway/ledger.hpp"
 #include "gateway/names.hpp"
 #include "gateway/peer.hpp"
 #include "gateway/rate_limit.hpp"
@@ -115,11 +116,14 @@ TEST_CASE("what a file of settings does not mean is an error with its line") {
 
 TEST_CASE("a writer's user data says the segment and the type, and nothing to strangers") {
   const AnyType type = AnyType::of<Pose>();
-  const std::string data = user_data_of({"boot;1=%", type});
+  const std::string data = user_data_of({"boot;1=%", type, 77, 1234});
   const auto peer = peer_of(data);
   REQUIRE(peer);
   CHECK(peer->segment == "boot;1=%");
   CHECK(peer->type.is_same(type));
+  CHECK(peer->ledger == 77);
+  CHECK(peer->written == 1234);
+  CHECK(peer_of("lot.segment=here;lot.ledger=7x;")->ledger == 0);
   CHECK(!peer_of(""));
   CHECK(!peer_of("typehash=RIHS01_00;"));
   CHECK(!peer_of("lot.segment"));
@@ -130,6 +134,66 @@ TEST_CASE("a writer's user data says the segment and the type, and nothing to st
     const int number = error_of([&] { (void)peer_of(data.substr(0, cut)); }).first;
     CHECK((number == 0 || number == EBADMSG));
   }
+}
+
+TEST_CASE("a ledger that is opened again says what was written last") {
+  const Directory directory;
+  const std::string file = directory.file("gateway.state");
+  Progress progress;
+  std::uint64_t id = 0;
+  {
+    Ledger ledger(file, "here");
+    id = ledger.id();
+    CHECK(id != 0);
+    for (std::uint64_t next = 1; next < 4; ++next) {
+      progress.written = next;
+      progress.counts.front() = 10 * next;
+      progress.set_next(5, next);
+      ledger.entry(Ledger::Way::Out, "/pose")->write(progress);
+    }
+    CHECK(ledger.entry(Ledger::Way::In, "/pose")->told().written == 0);
+    CHECK(error_of([&] { Ledger(file, "here"); }).first == EBUSY);
+  }
+  {
+    Ledger ledger(file, "here");
+    CHECK(ledger.id() == id);
+    const Progress told = ledger.entry(Ledger::Way::Out, "/pose")->told();
+    CHECK(told.written == 3);
+    CHECK(told.counts.front() == 30);
+    CHECK(told.next_of(5) == 3);
+    CHECK(told.next_of(6) == 0);
+    int topics = 0;
+    ledger.for_each([&](Ledger::Way, std::string_view topic, const Progress&) {
+      CHECK(topic == "/pose");
+      ++topics;
+    });
+    CHECK(topics == 2);
+  }
+  Ledger elsewhere(file, "there");  // another segment
+  CHECK(elsewhere.id() != id);
+  CHECK(elsewhere.entry(Ledger::Way::Out, "/pose")->told().written == 0);
+}
+
+TEST_CASE("a ledger takes 512 topics, and no name of 256 bytes") {
+  const Directory directory;
+  Ledger ledger(directory.file("gateway.state"), "here");
+  CHECK(ledger.entry(Ledger::Way::Out, std::string(256, 'x')) == nullptr);
+  for (int i = 0; i < 512; ++i) {
+    CHECK(ledger.entry(Ledger::Way::Out, std::to_string(i)) != nullptr);
+  }
+  CHECK(ledger.entry(Ledger::Way::Out, "one more") == nullptr);
+  CHECK(ledger.entry(Ledger::Way::Out, "7") == ledger.entry(Ledger::Way::Out, "7"));
+}
+
+TEST_CASE("progress forgets the line that was not used for longest") {
+  Progress progress;
+  for (std::uint64_t id = 1; id <= Progress::kMostLines; ++id) progress.set_next(id, 100 + id);
+  progress.set_next(1, 200);
+  progress.set_next(99, 300);
+  CHECK(progress.next_of(1) == 200);
+  CHECK(progress.next_of(2) == 0);
+  CHECK(progress.next_of(3) == 103);
+  CHECK(progress.next_of(99) == 300);
 }
 
 TEST_CASE("a rate lets a second's worth pass at once, and then so many a second") {

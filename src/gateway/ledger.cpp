@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "gateway/ledger.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <cstring>
+#include <fcntl.h>
+#include <random>
+#include <sys/file.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include "lot/error.hpp"
+
+namespace lot::gateway {
+namespace {
+
+constexpr std::size_t kMostEntries = 512;
+constexpr std::uint64_t kMagic = 0x314c475f544f4cULL;  // "LOT_GL1"
+
+[[noreturn]] void fail(const std::string& file, const char* what) {
+  throw Error(errno, file, what, "");
+}
+
+std::uint64_t random_id() {
+  std::random_device random;
+  return std::uint64_t{random()} << 32 | random() | 1;
+}
+
+}  // namespace
+
+struct Ledger::File {
+  std::uint64_t magic;
+  std::uint64_t place;  ///< a hash of it
+  std::uint64_t id;
+  std::array<Entry, kMostEntries> entries;
+};
+
+// ---- progress ----
+
+std::uint64_t Progress::next_of(std::uint64_t id) const noexcept {
+  const auto found = std::ranges::find(lines, id, &Line::id);
+  return found == lines.end() ? 0 : found->next;
+}
+
+void Progress::set_next(std::uint64_t id, std::uint64_t next) noexcept {
+  const auto found = std::ranges::find(lines, id, &Line::id);
+  const auto its = found == lines.end() ? lines.end() - 1 : found;
+  std::rotate(lines.begin(), its, its + 1);
+  lines.front() = {id, next};
+}
+
+// ---- the file ----
+
+Ledger::Ledger(const std::string& file, std::string_view place) {
+  constexpr mode_t kOwnersOnly = 0600;
+  fd_ = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, kOwnersOnly);
+  if (fd_ < 0) fail(file, "the file of the gateway's progress can not be opened");
+  try {
+    if (flock(fd_, LOCK_EX | LOCK_NB) != 0) {
+      throw Error(EBUSY, file, "another gateway has this file", "give each gateway its own");
+    }
+    if (ftruncate(fd_, sizeof(File)) != 0) fail(file, "it can not be made so large");
+    void* const at = mmap(nullptr, sizeof(File), PROT_READ | PROT_WRITE, MAP_SHARED, fd_, 0);
+    if (at == MAP_FAILED) fail(file, "it can not be mapped");
+    file_ = static_cast<File*>(at);
+  } catch (...) {
+    close(fd_);
+    throw;
+  }
+  const std::uint64_t hash = std::hash<std::string_view>()(place);
+  if (file_->magic == kMagic && file_->place == hash) return;
+  std::memset(static_cast<void*>(file_), 0, sizeof(File));
+  file_->place = hash;
+  file_->id = random_id();
+  file_->magic = kMagic;
+}
+
+Ledger::~Ledger() {
+  munmap(file_, sizeof(File));
+  close(fd_);
+}
+
+std::uint64_t Ledger::id() const noexcept { return file_->id; }
+
+Ledger::Entry* Ledger::entry(Way way, std::string_view topic) noexcept {
+  if (topic.size() >= Entry::kMostTopic) return nullptr;
+  for (Entry& entry : file_->entries) {
+    if (entry.way_ == 0) {
+      std::ranges::copy(topic, entry.topic_.begin());
+      entry.way_ = static_cast<char>(way);
+    }
+    if (entry.way_ == static_cast<char>(way) && entry.topic() == topic) return &entry;
+  }
+  return nullptr;
+}
+
+void Ledger::for_each(
+    const std::function<void(Way, std::string_view topic, const Progress&)>& see) const {
+  for (const Entry& entry : file_->entries) {
+    if (entry.way_ == 0) return;
+    see(Way{entry.way_}, entry.topic(), entry.told());
+  }
+}
+
+Progress Ledger::Entry::told() const noexcept { return both_[current_ % 2]; }
+
+void Ledger::Entry::write(const Progress& progress) noexcept {
+  const std::uint64_t next = (current_ + 1) % 2;
+  both_[next] = progress;
+  // Release: a gateway that comes after a kill finds what this one names. Killed before it: the
+  // other one counts.
+  std::atomic_ref(current_).store(next, std::memory_order_release);
+}
+
+}  // namespace lot::gateway
