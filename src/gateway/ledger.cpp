@@ -9,7 +9,9 @@
 #include <random>
 #include <sys/file.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
 #include <unistd.h>
+#include <utility>
 
 #include "lot/error.hpp"
 
@@ -21,6 +23,11 @@ constexpr std::uint64_t kMagic = 0x314c475f544f4cULL;  // "LOT_GL1"
 
 [[noreturn]] void fail(const std::string& file, const char* what) {
   throw Error(errno, file, what, "");
+}
+
+[[noreturn]] void refuse(const std::string& file) {
+  throw Error(EEXIST, file, "it is not the file of a gateway's progress",
+              "name a file that is not there yet");
 }
 
 std::uint64_t random_id() {
@@ -61,10 +68,19 @@ Ledger::Ledger(const std::string& file, std::string_view place) {
     if (flock(fd_, LOCK_EX | LOCK_NB) != 0) {
       throw Error(EBUSY, file, "another gateway has this file", "give each gateway its own");
     }
-    if (ftruncate(fd_, sizeof(File)) != 0) fail(file, "it can not be made so large");
+    struct stat its {};
+    if (fstat(fd_, &its) != 0) fail(file, "it can not be looked at");
+    if (its.st_size != 0 && std::cmp_not_equal(its.st_size, sizeof(File))) refuse(file);
+    // Room on the disk now: a store to a mapped page that finds none later would end the process.
+    errno = posix_fallocate(fd_, 0, sizeof(File));
+    if (errno != 0) fail(file, "it can not be made so large");
     void* const at = mmap(nullptr, sizeof(File), PROT_READ | PROT_WRITE, MAP_SHARED, fd_, 0);
     if (at == MAP_FAILED) fail(file, "it can not be mapped");
     file_ = static_cast<File*>(at);
+    if (file_->magic != kMagic && file_->magic != 0) {
+      munmap(at, sizeof(File));
+      refuse(file);
+    }
   } catch (...) {
     close(fd_);
     throw;

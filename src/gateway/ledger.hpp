@@ -42,9 +42,11 @@ struct Progress {
 ///     entry->write(progress);
 ///
 /// Threads: each entry one; entry() and for_each() one.
-/// Errors:  lot::Error of the constructor: EBUSY, another gateway has the file; what the system
-/// says. Memory:  half a MiB of the file, which it maps. Crash:   an entry has what was written
-/// last. A kill in write() leaves what was there before.
+/// Errors:  lot::Error of the constructor: EBUSY, another gateway has the file; EEXIST, it is a
+/// file
+///          of something else; what the system says, as ENOSPC
+/// Memory:  half a MiB of the disk, which it maps
+/// Crash:   an entry has what was written last. A kill in write() leaves what was there before
 class Ledger {
  public:
   class Entry;

@@ -5,7 +5,11 @@
 
 #include <cerrno>
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
 #include <string>
 
 #include <doctest/doctest.h>
@@ -136,6 +140,12 @@ TEST_CASE("a writer's user data says the segment and the type, and nothing to st
   }
 }
 
+std::size_t ledger_size(const Directory& directory) {
+  const std::string file = directory.file("another.state");
+  Ledger(file, "here");
+  return std::filesystem::file_size(file);
+}
+
 TEST_CASE("a ledger that is opened again says what was written last") {
   const Directory directory;
   const std::string file = directory.file("gateway.state");
@@ -172,6 +182,18 @@ TEST_CASE("a ledger that is opened again says what was written last") {
   Ledger elsewhere(file, "there");  // another segment
   CHECK(elsewhere.id() != id);
   CHECK(elsewhere.entry(Ledger::Way::Out, "/pose")->told().written == 0);
+}
+
+TEST_CASE("a file of something else is no ledger, and stays as it is") {
+  const Directory directory;
+  const std::string file = directory.file("gateway.state");
+  for (const std::size_t size : {std::size_t{5}, ledger_size(directory)}) {
+    const std::string text(size, 'x');
+    std::ofstream(file) << text;
+    CHECK(error_of([&] { Ledger(file, "here"); }).first == EEXIST);
+    std::ifstream in(file);
+    CHECK(std::string{std::istreambuf_iterator<char>(in), {}} == text);
+  }
 }
 
 TEST_CASE("a ledger takes 512 topics, and no name of 256 bytes") {
