@@ -33,11 +33,14 @@ void check(const std::string& user_data) try {
   }
   std::string told = user_data_of(*peer);
   if (planted("other_segment")) told += "lot.segment=other;";
+  if (planted("other_number")) told += "lot.ledger=1;lot.written=77;";
   if (planted("lost_type")) told.erase(0, told.find("lot.segment="));
   if (planted("lost_peer")) told.clear();
   const std::optional<Peer> again = peer_of(told);
   require(again.has_value(), "a peer comes back from its user data");
   require(again->segment == peer->segment, "its segment");
+  require(again->ledger == peer->ledger, "its ledger");
+  if (peer->ledger != 0) require(again->written == peer->written, "how far it has come");
   if (!again->type && told.size() < 1000) require(!peer->type, "its type is not left out");
   if (again->type) require(peer->type && again->type.is_same(peer->type), "its type");
 } catch (const lot::Error& e) {
