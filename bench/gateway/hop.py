@@ -41,6 +41,7 @@ URI = ('<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name
 
 
 DEPTH = 16
+hosts.PATIENCE_S = 600  # a cell may be slow, and nothing is wrong
 GATEWAY = f"""\
 interface: {hosts.CABLE}
 {{direction}}:
