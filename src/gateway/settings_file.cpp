@@ -32,19 +32,19 @@ class File {
     for (const auto& entry : all) {
       const auto key = text(entry.first);
       if (key == "domain") {
-        settings.domain.id = static_cast<std::uint32_t>(number(entry.second, 0, 232));
+        settings.domain.id = static_cast<std::uint32_t>(whole(entry.second, 0, 232));
       } else if (key == "interface") {
         settings.domain.interface = text(entry.second);
       } else if (key == "max_size_mib") {
         settings.domain.max_size = mebibytes(entry.second, 2047);
       } else if (key == "most_incoming") {
-        settings.most_incoming = static_cast<std::size_t>(number(entry.second, 0, 1000));
+        settings.most_incoming = static_cast<std::size_t>(whole(entry.second, 0, 1000));
       } else if (key == "node") {
         settings.node = text(entry.second);
       } else if (key == "ros") {
         settings.gid_bytes = gid_bytes(entry.second);
       } else if (key == "out" || key == "in") {
-        rows(entry.second, key == "out" ? settings.out : settings.in);
+        rows(entry.second, key == "in", key == "in" ? settings.in : settings.out);
       } else {
         refuse(entry.first, "there is no setting " + key);
       }
@@ -85,11 +85,16 @@ class File {
     refuse(node, "here belongs a number from " + std::to_string(std::llround(least)) + " to " +
                      std::to_string(std::llround(most)));
   }
+  double whole(const YAML::Node& node, double least, double most) const {
+    const double value = number(node, least, most);
+    if (value != std::floor(value)) refuse(node, "here belongs a whole number");
+    return value;
+  }
   std::uint64_t mebibytes(const YAML::Node& node, double most) const {
     return static_cast<std::uint64_t>(number(node, 0, most) * kMiB);
   }
 
-  void rows(const YAML::Node& node, std::vector<RouteSettings>& into) const {
+  void rows(const YAML::Node& node, bool is_in, std::vector<RouteSettings>& into) const {
     if (!node.IsSequence()) refuse(node, "here belongs a list of topics");
     for (const YAML::Node& row : node) {
       if (row.IsScalar()) {
@@ -97,18 +102,21 @@ class File {
         settings.topics = text(row);
         into.push_back(std::move(settings));
       } else {
-        into.push_back(route(row));
+        into.push_back(route(row, is_in));
       }
     }
   }
 
-  RouteSettings route(const YAML::Node& node) const {
+  RouteSettings route(const YAML::Node& node, bool is_in) const {
     require_map(node);
     RouteSettings settings;
     Quality& quality = settings.quality;
     for (const auto& entry : node) {
       const auto key = text(entry.first);
       const YAML::Node& value = entry.second;
+      if (!is_in && (key == "max_rate" || key == "max_memory_mib" || key == "type")) {
+        refuse(entry.first, key + " is a setting of topics that come in");
+      }
       if (key == "topics") {
         settings.topics = text(value);
       } else if (key == "dds_topic") {
@@ -118,7 +126,7 @@ class File {
       } else if (key == "durability") {
         quality.durability = durability(value);
       } else if (key == "depth") {
-        quality.depth = static_cast<std::uint32_t>(number(value, 1, 10000));
+        quality.depth = static_cast<std::uint32_t>(whole(value, 1, 10000));
       } else if (key == "deadline_ms") {
         quality.deadline = std::chrono::duration<double, std::milli>(number(value, 0, 1e9));
       } else if (key == "max_rate") {

@@ -107,6 +107,13 @@ TEST_CASE("what a file of settings does not mean is an error with its line") {
   CHECK(wrong("out: /a").starts_with("1: here belongs a list of topics"));
   CHECK(wrong("out:\n- {depth: 1}").starts_with("2: the topics are missing"));
   CHECK(wrong("in:\n- topics: /a\n  depth: 0").starts_with("3: here belongs a number from 1"));
+  CHECK(wrong("in:\n- topics: /a\n  depth: 1.5").starts_with("3: here belongs a whole number"));
+  CHECK(wrong("domain: 0.5").starts_with("1: here belongs a whole number"));
+  for (const std::string key : {"max_rate: 1", "max_memory_mib: 1", "type: std_msgs/msg/String"}) {
+    CHECK(read("in: [{topics: /a, " + key + "}]").in.size() == 1);
+    CHECK(wrong("out: [{topics: /a, " + key + "}]").find("of topics that come in") !=
+          std::string::npos);
+  }
   CHECK(wrong("in:\n- {topics: /a, depth: .nan}").starts_with("2: here belongs a number"));
   CHECK(wrong("in: [{topics: /a, reliability: some}]").starts_with("1: some is neither"));
   CHECK(wrong("in: [{topics: /a, durability: some}]").starts_with("1: some is neither"));
