@@ -55,6 +55,8 @@ start_program planner planner
 
 came() { awk '$1 == "in" && $NF == "/control" { came = $2 } END { print came + 0 }' "$place/gateway_$1"; }
 for _ in $(seq 300); do  # until the two have met
+  sleep 0.1
+  grep -q 'lot_gateway: in /control' "$place/log_operator" || continue  # it does not take signals yet
   kill -USR1 "${started[1]}"
   sleep 0.1
   [ "$(came operator)" -eq 0 ] || break
