@@ -1259,9 +1259,10 @@ TEST_CASE("what is not LOT's goes to roscpp's queue, where LOT's thread calls ca
 
 int main(int argc, char** argv) {
   if (argc > 2 && std::string(argv[1]) == "--echo") return echo(argc, argv);
+  doctest::Context context(argc, argv);
+  if (argc > 1 && std::string(argv[1]) == "-ltc") return context.run();  // needs no master
   ros::init(argc, argv, "handles");
   ros::NodeHandle keeps_ros;
-  doctest::Context context(argc, argv);
   const int result = context.run();
   ros::shutdown();
   return result;
