@@ -21,14 +21,15 @@ struct Counts {
   std::uint64_t refused = 0;  ///< by a limit, or of another type
   std::uint64_t damaged = 0;  ///< could not be encoded, or decoded
   std::uint64_t looped = 0;   ///< were a gateway's own
+  std::uint64_t unheard = 0;  ///< were not encoded, since nobody in the domain read the topic
   bool has_ended = false;     ///< the route does nothing more: its topic has gone, or changed
   std::string error;          ///< the last one
 };
 
 /// The counts that are numbers.
-inline constexpr std::array<std::uint64_t Counts::*, 8> kNumbers = {
-    &Counts::carried, &Counts::bytes,   &Counts::missed,  &Counts::before,
-    &Counts::lost,    &Counts::refused, &Counts::damaged, &Counts::looped};
+inline constexpr std::array<std::uint64_t Counts::*, 9> kNumbers = {
+    &Counts::carried, &Counts::bytes,   &Counts::missed, &Counts::before, &Counts::lost,
+    &Counts::refused, &Counts::damaged, &Counts::looped, &Counts::unheard};
 
 /// Counts, while the route's thread works and others look.
 ///

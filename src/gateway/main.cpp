@@ -114,13 +114,13 @@ class News {
 };
 
 void print(const Report& report) {
-  std::printf("%-4s %10s %14s %8s %8s %8s %8s %8s %8s  %s\n", "", "carried", "bytes", "missed",
-              "before", "lost", "refused", "damaged", "looped", "topic");
+  std::printf("%-4s %10s %14s %8s %8s %8s %8s %8s %8s %8s  %s\n", "", "carried", "bytes", "missed",
+              "before", "lost", "refused", "damaged", "looped", "unheard", "topic");
   for (const Report::Route& route : report.routes) {
     const Counts& c = route.counts;
-    std::printf("%-4s %10lu %14lu %8lu %8lu %8lu %8lu %8lu %8lu  %s\n", route.is_out ? "out" : "in",
-                c.carried, c.bytes, c.missed, c.before, c.lost, c.refused, c.damaged, c.looped,
-                route.topic.c_str());
+    std::printf("%-4s %10lu %14lu %8lu %8lu %8lu %8lu %8lu %8lu %8lu  %s\n",
+                route.is_out ? "out" : "in", c.carried, c.bytes, c.missed, c.before, c.lost,
+                c.refused, c.damaged, c.looped, c.unheard, route.topic.c_str());
   }
   std::fflush(stdout);
 }

@@ -146,6 +146,14 @@ bool OutgoingRoute::may_carry(const Envelope& from) {
   return false;
 }
 
+bool OutgoingRoute::is_unheard() const {
+  if (entry_ != nullptr || settings_.quality.durability == Durability::TransientLocal) return false;
+  dds_publication_matched_status_t matched{};
+  require(dds_get_publication_matched_status(writer_.get(), &matched), dds_topic_,
+          "look for readers");
+  return matched.current_count == 0;
+}
+
 void OutgoingRoute::write_down() noexcept {
   if (entry_ == nullptr) return;
   progress_.counts = tally_.numbers(counts_before_);
@@ -155,6 +163,7 @@ void OutgoingRoute::write_down() noexcept {
 void OutgoingRoute::carry(AnyBorrow& message) {
   const Envelope from = message.envelope();
   if (!may_carry(from)) return write_down();
+  if (is_unheard()) return tally_.add(&Counts::unheard);
   CdrSample sample;
   try {
     sample = cdr_.sample(stream_.program, message.root());

@@ -69,6 +69,9 @@ class OutgoingRoute {
   void carry(AnyBorrow& message);
   /// What a gateway that comes after a kill has to know.
   void write_down() noexcept;
+  /// Nobody would miss the message: to encode it costs local readers the processor. Where a ledger
+  /// counts, a gateway that reads the topic may be one that was killed.
+  bool is_unheard() const;
   /// False: no gateway may carry it.
   bool may_carry(const Envelope& from);
 

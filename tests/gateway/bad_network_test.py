@@ -27,8 +27,8 @@ def table(gateway, direction, topic):
     """The line of a gateway's table: {column: number}. It ends the gateway."""
     gateway.process.terminate()
     gateway.finish()
-    names = ['carried', 'bytes', 'missed', 'before', 'lost', 'refused', 'damaged', 'looped']
-    found = re.findall(rf'^{direction}((?: +\d+){{8}})  {topic}$', gateway.said(), re.MULTILINE)
+    names = ['carried', 'bytes', 'missed', 'before', 'lost', 'refused', 'damaged', 'looped', 'unheard']
+    found = re.findall(rf'^{direction}((?: +\d+){{9}})  {topic}$', gateway.said(), re.MULTILINE)
     return dict(zip(names, map(int, found[-1].split())))
 
 

@@ -113,6 +113,26 @@ TEST_CASE("messages of one segment come into another one, whole and in their ord
   CHECK(sent.missed + sent.damaged + got.damaged + got.refused + got.lost == 0);
 }
 
+TEST_CASE("what nobody in the domain reads is not encoded, but for a latched topic") {
+  const Watchdog watchdog(60);
+  Host a;
+  const File file("out:\n  - {topics: /map, durability: transient_local}\n  - /notes");
+  auto notes = a.engine.advertise<Note>("/notes");
+  auto maps = a.engine.advertise<Note>("/map");
+  Gateway out(a.where, {"--config", file.path});
+  REQUIRE(out.says("out /notes -> rt/notes"));
+  REQUIRE(out.says("out /map -> rt/map"));
+  for (std::uint64_t i = 1; i <= 5; ++i) {
+    push_note(notes, i);
+    push_note(maps, i);
+  }
+  CHECK(eventually([&] { return out.look()["out /notes"].unheard == 5; }));
+  CHECK(eventually([&] { return out.look()["out /map"].carried == 5; }));
+  auto lines = out.end();
+  CHECK(lines["out /notes"].carried == 0);
+  CHECK(lines["out /map"].unheard == 0);
+}
+
 TEST_CASE("a gateway takes the type of a topic from the gateway of the other segment") {
   const Watchdog watchdog(60);
   Host a;
@@ -183,7 +203,8 @@ TEST_CASE("no message comes back, or twice, where both gateways carry everything
     for (const auto& [name, line] : lines) {
       tables += name + ": " + std::to_string(line.carried) + " carried, " +
                 std::to_string(line.missed) + " missed, " + std::to_string(line.lost) + " lost, " +
-                std::to_string(line.looped) + " looped\n";
+                std::to_string(line.looped) + " looped, " + std::to_string(line.unheard) +
+                " unheard\n";
     }
   }
   CAPTURE(tables);

@@ -36,7 +36,7 @@ inline std::string uri_of_this_test() {
 /// One line of the table that it prints.
 struct Line {
   std::uint64_t carried = 0, bytes = 0, missed = 0, before = 0, lost = 0, refused = 0, damaged = 0,
-                looped = 0;
+                looped = 0, unheard = 0;
 };
 
 class Gateway {
@@ -95,7 +95,7 @@ class Gateway {
       std::string direction, topic;
       Line line;
       in >> direction >> line.carried >> line.bytes >> line.missed >> line.before >> line.lost >>
-          line.refused >> line.damaged >> line.looped >> topic;
+          line.refused >> line.damaged >> line.looped >> line.unheard >> topic;
       if (in) lines[direction + " " + topic] = line;
     }
     return lines;
