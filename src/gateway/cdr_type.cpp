@@ -207,7 +207,11 @@ void free_samples(const ddsi_sertype* /*type*/, void** /*samples*/, std::size_t 
 
 /// Each topic has a type of its own, whose buffers and limit no other one has.
 bool is_equal(const ddsi_sertype* a, const ddsi_sertype* b) { return a == b; }
-std::uint32_t hash_of(const ddsi_sertype* /*type*/) { return 0; }
+/// CycloneDDS's table of types has room for 32 of one hash, and looks for ever for more.
+std::uint32_t hash_of(const ddsi_sertype* type) {
+  constexpr std::uint64_t kSpread = 0x9e3779b97f4a7c15;  // 2 to the 64, by the golden ratio
+  return static_cast<std::uint32_t>((reinterpret_cast<std::uintptr_t>(type) * kSpread) >> 32);
+}
 
 const ddsi_serdata_ops kSampleOps = [] {
   ddsi_serdata_ops ops{};

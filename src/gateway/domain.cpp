@@ -1,14 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "gateway/domain.hpp"
 
+#include <arpa/inet.h>
+#include <cerrno>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
+#include <memory>
 #include <mutex>
+#include <netinet/in.h>
+#include <set>
 #include <string_view>
 
 #include <dds/ddsrt/log.h>
+#include <ifaddrs.h>
 
 #include "lot/detail/mutex.hpp"
+#include "lot/error.hpp"
 
 #include "gateway/rate_limit.hpp"
 
@@ -53,6 +61,28 @@ bool is_address(const std::string& interface) {
   return interface.find_first_not_of("0123456789.") == std::string::npos;
 }
 
+/// Throws lot::Error, with the names that there are, where this machine has no such interface.
+void require_interface(const std::string& interface) {
+  ifaddrs* first = nullptr;
+  if (getifaddrs(&first) != 0) throw Error(errno, interface, "interfaces can not be listed", "");
+  const std::unique_ptr<ifaddrs, void (*)(ifaddrs*)> all(first, freeifaddrs);
+  std::set<std::string> names;
+  for (const ifaddrs* one = first; one != nullptr; one = one->ifa_next) {
+    names.insert(one->ifa_name);
+    char address[INET_ADDRSTRLEN] = "";
+    if (one->ifa_addr != nullptr && one->ifa_addr->sa_family == AF_INET) {
+      sockaddr_in its{};
+      std::memcpy(&its, one->ifa_addr, sizeof its);
+      inet_ntop(AF_INET, &its.sin_addr, address, sizeof address);
+    }
+    if (interface == one->ifa_name || interface == address) return;
+  }
+  std::string there;
+  for (const std::string& name : names) there += (there.empty() ? "" : ", ") + name;
+  throw Error(ENODEV, interface, "this machine has no such network interface",
+              "there are " + there);
+}
+
 /// Fragments of configuration: the later ones come before the earlier ones.
 std::string configuration(const DomainSettings& settings) {
   std::string own = "<Internal><MaxSampleSize>" + std::to_string(settings.max_size) +
@@ -88,7 +118,8 @@ class Log {
     }
     if (left_out_ != 0) std::fprintf(stderr, "CycloneDDS: %lu lines left out\n", left_out_);
     left_out_ = 0;
-    std::fprintf(stderr, "CycloneDDS: %.*s", static_cast<int>(line.size()), line.data());
+    while (line.ends_with('\n')) line.remove_suffix(1);
+    std::fprintf(stderr, "CycloneDDS: %.*s\n", static_cast<int>(line.size()), line.data());
   }
 
   static constexpr double kLinesASecond = 5;
@@ -107,6 +138,7 @@ Log& log_of_process() {
 }  // namespace
 
 Domain::Domain(const DomainSettings& settings) {
+  if (!settings.interface.empty()) require_interface(settings.interface);
   dds_set_log_sink(Log::write, &log_of_process());
   const std::string name = "DDS domain " + std::to_string(settings.id);
   domain_ = Entity(dds_create_domain(settings.id, configuration(settings).c_str()), name,

@@ -20,6 +20,8 @@ struct DomainSettings {
   /// More elements of CycloneDDS's `Domain`, as XML: they come before the gateway's own, and those
   /// of CYCLONEDDS_URI before both.
   std::string more;
+
+  bool operator==(const DomainSettings&) const = default;
 };
 
 /// The one DDS domain of this process, and a participant in it.

@@ -215,7 +215,9 @@ void IncomingRoute::carry(const CdrSample& sample, dds_instance_handle_t writer)
     tally_.carried(sample.bytes().size());
   } catch (const OutOfMemory& e) {
     tally_.add(&Counts::lost);
-    tally_.went_wrong(e.what());
+    const std::string text = what_.topic + ": a message was lost (max_memory_mib says how much " +
+                             "of the segment the topic may use): " + e.what();
+    tally_.went_wrong(text.c_str());
   } catch (const Error& e) {
     const bool is_its_bytes =
         e.error_number() == EBADMSG || e.error_number() == ENOTSUP || e.error_number() == ERANGE;

@@ -187,7 +187,8 @@ void Keeper::note(const std::string& topic, const Error& error) {
   if (error.error_number() == ENOENT) {
     again_ = true;  // it has just gone
   } else {
-    refused_[topic] = error.what();
+    const bool names_it = error.object() == topic;
+    refused_[topic] = names_it ? error.what() : topic + " is not carried: " + error.what();
   }
 }
 
@@ -251,7 +252,8 @@ std::map<std::string, Keeper::Wanted> Keeper::wanted_topics() {
     if (is_pattern(row.topics)) continue;
     const std::string dds_topic = dds_name_of(row);
     if (dds_topic.empty()) {
-      refused_[row.topics] = "ROS 2 allows no such name of a topic: give it one, dds_topic";
+      refused_[row.topics] =
+          row.topics + ": ROS 2 allows no such name of a topic: give it one, dds_topic";
     } else {
       wanted.try_emplace(row.topics, Wanted{row, dds_topic, {}, {}});
     }
@@ -370,7 +372,8 @@ Report Keeper::end() {
 // -------------------------------------------------------------------------------
 
 Report Keeper::told() const {
-  Report report{ended_, refused_, error_};
+  Report report{ended_, refused_, error_,
+                participant_ == nullptr ? "" : participant_->segment().path()};
   for (const auto& [topic, route] : outgoing_) {
     put_in(report.routes, {true, topic, route->dds_topic(), true, route->told()});
   }

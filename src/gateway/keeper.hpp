@@ -39,6 +39,7 @@ struct Report {
   std::vector<Route> routes;
   std::map<std::string, std::string> refused;  ///< topics that are not carried, and why
   std::string error;                           ///< the last one that is about no topic
+  std::string segment;                         ///< its path; empty: the gateway is in none
 };
 
 /// Begins the routes that the settings want, and ends those that they want no more, or whose topic

@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
+#include <cerrno>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <exception>
 #include <map>
 #include <new>
 #include <string>
+#include <string_view>
 #include <unistd.h>
 #include <vector>
 
@@ -59,9 +62,13 @@ RouteSettings incoming_row(const std::string& word) {
   return row;
 }
 
+/// What is wrong with a word of --out; empty: nothing is.
+std::string wrong_name(const std::string& word) { return word.empty() ? "an empty name" : ""; }
+
 /// What is wrong with a word of --in; empty: nothing is.
 std::string wrong_with(const std::string& word) {
   const RouteSettings row = incoming_row(word);
+  if (row.topics.empty()) return wrong_name(row.topics);
   const bool is_right = row.type.empty() ? row.topics == word : is_ros_type(dds_type_of(row.type));
   return is_right ? "" : "the gateway knows no fields of a type \"" + row.type + '"';
 }
@@ -82,12 +89,18 @@ Settings settings_of(const Arguments& arguments) {
   return settings;
 }
 
-void say(const std::string& text) { std::fprintf(stderr, "lot_gateway: %s\n", text.c_str()); }
+void say(std::string_view text) {
+  constexpr std::string_view kLibrary = "lot: ";  // what errors of the library begin with
+  if (text.starts_with(kLibrary)) text.remove_prefix(kLibrary.size());
+  std::fprintf(stderr, "lot_gateway: %.*s\n", static_cast<int>(text.size()), text.data());
+}
 
 /// Says on standard error what is new in a report.
 class News {
  public:
   void tell(const Report& now) {
+    if (now.segment != segment_ && !now.segment.empty()) say("in the segment " + now.segment);
+    segment_ = now.segment;
     for (const Report::Route& route : now.routes) {
       const std::string name = (route.is_out ? "out " : "in ") + route.topic;
       bool& was_there = there_[name];
@@ -109,11 +122,13 @@ class News {
     last = what;
   }
 
+  std::string segment_;
   std::map<std::string, bool> there_;
   std::map<std::string, std::string> errors_;
 };
 
-void print(const Report& report) {
+/// False: standard output has not taken it, and standard error says so.
+bool print(const Report& report) {
   std::printf("%-4s %10s %14s %8s %8s %8s %8s %8s %8s %8s  %s\n", "", "carried", "bytes", "missed",
               "before", "lost", "refused", "damaged", "looped", "unheard", "topic");
   for (const Report::Route& route : report.routes) {
@@ -122,7 +137,20 @@ void print(const Report& report) {
                 route.is_out ? "out" : "in", c.carried, c.bytes, c.missed, c.before, c.lost,
                 c.refused, c.damaged, c.looped, c.unheard, route.topic.c_str());
   }
-  std::fflush(stdout);
+  if (std::fflush(stdout) == 0 && std::ferror(stdout) == 0) return true;
+  say(std::string("standard output: ") + std::strerror(errno));
+  return false;
+}
+
+bool is_empty(const Settings& settings) { return settings.out.empty() && settings.in.empty(); }
+
+/// Says what a file that was read again has, and has in vain.
+void tell_change(const Settings& first, const Settings& now) {
+  say("the file was read again: " + std::to_string(now.out.size()) + " rows out, " +
+      std::to_string(now.in.size()) + " in");
+  const bool is_other = now.domain != first.domain || now.most_incoming != first.most_incoming ||
+                        now.node != first.node || now.gid_bytes != first.gid_bytes;
+  if (is_other) say("domain, interface, sizes, node and ros count from the next start");
 }
 
 /// CycloneDDS ends its thread that receives by a packet to its own address. The packet does not
@@ -141,14 +169,20 @@ int work(const Arguments& arguments) {
   const lot::StopToken stop = lot::stop_on_signals();
   lot::EngineOptions where;
   where.name = kProcessName;
+  const Settings first = settings_of(arguments);
+  if (is_empty(first)) {
+    say("which topics? --out TOPICS, --in TOPICS, or --config FILE that names some");
+    return 2;
+  }
   News news;
-  Keeper keeper(settings_of(arguments), [where] { return lot::detail::join(where); });
+  Keeper keeper(first, [where] { return lot::detail::join(where); });
   while (!stop.stop_requested()) {
     if (change_was_asked != 0) {
       change_was_asked = 0;
       try {
         const Settings changed = settings_of(arguments);
         keeper.change(changed.out, changed.in);
+        tell_change(first, changed);
       } catch (const lot::Error& e) {
         say(e.what());  // the earlier ones stay
       }
@@ -158,12 +192,12 @@ int work(const Arguments& arguments) {
     news.tell(report);
     if (report_was_asked != 0) {
       report_was_asked = 0;
-      print(report);
+      (void)print(report);
     }
   }
-  print(keeper.end());
+  const bool is_printed = print(keeper.end());
   end_in_any_case();
-  return 0;
+  return is_printed ? 0 : 1;
 }
 
 int run(int argc, char** argv) {
@@ -171,7 +205,8 @@ int run(int argc, char** argv) {
                "lot_gateway"};
   Arguments arguments;
   app.add_option("--out", arguments.out, "topics of the segment that go out: a name or a pattern")
-      ->type_name("TOPICS");
+      ->type_name("TOPICS")
+      ->check(CLI::Validator(wrong_name, ""));
   app.add_option("--in", arguments.in,
                  "topics of the domain that come in; TOPICS:TYPE where nothing else says the type")
       ->type_name("TOPICS[:TYPE]")
@@ -194,10 +229,6 @@ int run(int argc, char** argv) {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? 0 : 2;
-  }
-  if (arguments.out.empty() && arguments.in.empty() && arguments.file.empty()) {
-    say("which topics? --out TOPICS, --in TOPICS, or --config FILE");
-    return 2;
   }
   if (!arguments.segment.empty()) setenv("LOT_SEGMENT", arguments.segment.c_str(), 1);
   return work(arguments);

@@ -51,4 +51,8 @@ std::string dds_type_of(std::string_view schema) {
   return result + "_";
 }
 
+bool is_node_name(std::string_view name) {
+  return is_ros_name(name) && name.find('/') == name.npos;
+}
+
 }  // namespace lot::gateway

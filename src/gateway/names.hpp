@@ -15,5 +15,7 @@ std::optional<std::string> dds_topic_of(std::string_view topic);
 std::optional<std::string> topic_of_dds(std::string_view dds_topic);
 /// "robot::msg::dds_::Frame_" for the schema "robot/msg/Frame". Throws std::bad_alloc.
 std::string dds_type_of(std::string_view schema);
+/// Whether ROS 2 allows a node to be called so.
+bool is_node_name(std::string_view name);
 
 }  // namespace lot::gateway

@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <fstream>
 #include <limits>
+#include <set>
+#include <string>
 
 #include <yaml-cpp/yaml.h>
 
@@ -29,18 +31,21 @@ class File {
     const YAML::Node all = load();
     if (all.IsNull()) return;  // an empty file
     require_map(all);
+    std::set<std::string> keys;
     for (const auto& entry : all) {
-      const auto key = text(entry.first);
+      const auto key = new_key(entry.first, keys);
       if (key == "domain") {
         settings.domain.id = static_cast<std::uint32_t>(whole(entry.second, 0, 232));
       } else if (key == "interface") {
         settings.domain.interface = text(entry.second);
       } else if (key == "max_size_mib") {
-        settings.domain.max_size = mebibytes(entry.second, 2047);
+        settings.domain.max_size = mebibytes(entry.second, 1, 2047);
       } else if (key == "most_incoming") {
         settings.most_incoming = static_cast<std::size_t>(whole(entry.second, 0, 1000));
       } else if (key == "node") {
         settings.node = text(entry.second);
+        if (!is_node_name(settings.node))
+          refuse(entry.second, "ROS 2 allows no such name of a node");
       } else if (key == "ros") {
         settings.gid_bytes = gid_bytes(entry.second);
       } else if (key == "out" || key == "in") {
@@ -76,6 +81,11 @@ class File {
     if (!node.IsScalar() || node.Scalar().empty()) refuse(node, "here belongs a text");
     return node.Scalar();
   }
+  std::string new_key(const YAML::Node& node, std::set<std::string>& keys) const {
+    std::string key = text(node);
+    if (!keys.insert(key).second) refuse(node, key + " is there twice");
+    return key;
+  }
   double number(const YAML::Node& node, double least, double most) const {
     double value = std::numeric_limits<double>::quiet_NaN();
     if (node.IsScalar() && YAML::convert<double>::decode(node, value) && value >= least &&
@@ -90,8 +100,8 @@ class File {
     if (value != std::floor(value)) refuse(node, "here belongs a whole number");
     return value;
   }
-  std::uint64_t mebibytes(const YAML::Node& node, double most) const {
-    return static_cast<std::uint64_t>(number(node, 0, most) * kMiB);
+  std::uint64_t mebibytes(const YAML::Node& node, double least, double most) const {
+    return static_cast<std::uint64_t>(number(node, least, most) * kMiB);
   }
 
   void rows(const YAML::Node& node, bool is_in, std::vector<RouteSettings>& into) const {
@@ -111,8 +121,9 @@ class File {
     require_map(node);
     RouteSettings settings;
     Quality& quality = settings.quality;
+    std::set<std::string> keys;
     for (const auto& entry : node) {
-      const auto key = text(entry.first);
+      const auto key = new_key(entry.first, keys);
       const YAML::Node& value = entry.second;
       if (!is_in && (key == "max_rate" || key == "max_memory_mib" || key == "type")) {
         refuse(entry.first, key + " is a setting of topics that come in");
@@ -132,7 +143,7 @@ class File {
       } else if (key == "max_rate") {
         settings.limits.max_rate = number(value, 0, 1e9);
       } else if (key == "max_memory_mib") {
-        settings.limits.max_bytes = mebibytes(value, 1e6);
+        settings.limits.max_bytes = mebibytes(value, 0, 1e6);
       } else if (key == "type") {
         settings.type = ros_type(value);
       } else {
@@ -140,6 +151,9 @@ class File {
       }
     }
     if (settings.topics.empty()) refuse(node, "the topics are missing: topics: NAME");
+    if (!settings.dds_topic.empty() && settings.topics.find_first_of("*?[") != std::string::npos) {
+      refuse(node, "dds_topic is the name of one topic, and " + settings.topics + " is a pattern");
+    }
     return settings;
   }
 

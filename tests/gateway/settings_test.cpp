@@ -107,6 +107,13 @@ TEST_CASE("what a file of settings does not mean is an error with its line") {
   CHECK(wrong("out: /a").starts_with("1: here belongs a list of topics"));
   CHECK(wrong("out:\n- {depth: 1}").starts_with("2: the topics are missing"));
   CHECK(wrong("in:\n- topics: /a\n  depth: 0").starts_with("3: here belongs a number from 1"));
+  CHECK(wrong("domain: 1\nnode: a\ndomain: 2").starts_with("3: domain is there twice"));
+  CHECK(wrong("out: [{topics: /a, depth: 1, depth: 2}]").starts_with("1: depth is there twice"));
+  CHECK(wrong("node: my node").starts_with("1: ROS 2 allows no such name of a node"));
+  CHECK(wrong("node: a/b").starts_with("1: ROS 2 allows no such name of a node"));
+  CHECK(wrong("max_size_mib: 0").starts_with("1: here belongs a number from 1"));
+  CHECK(wrong("out:\n- {topics: /a*, dds_topic: rt/a}")
+            .starts_with("2: dds_topic is the name of one"));
   CHECK(wrong("in:\n- topics: /a\n  depth: 1.5").starts_with("3: here belongs a whole number"));
   CHECK(wrong("domain: 0.5").starts_with("1: here belongs a whole number"));
   for (const std::string key : {"max_rate: 1", "max_memory_mib: 1", "type: std_msgs/msg/String"}) {

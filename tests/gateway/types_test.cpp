@@ -2,9 +2,11 @@
 
 // Bytes of CDR as samples of CycloneDDS: between two domains of one process.
 
+#include <cerrno>
 #include <chrono>
 #include <cstdint>
 #include <cstring>
+#include <memory>
 #include <string>
 #include <thread>
 #include <vector>
@@ -225,6 +227,25 @@ TEST_CASE("ROS 2 is told of a node with its readers and writers, also when it co
   CHECK(node.reader_gid_seq[1].data[0] == 7);
   REQUIRE(node.writer_gid_seq.size() == 1);
   CHECK(node.writer_gid_seq[0].data[15] == 9);
+}
+
+TEST_CASE("a domain has any number of topics of one type") {
+  const Watchdog watchdog(60);
+  const Domain domain(alone(1));
+  std::vector<std::unique_ptr<CdrTopic>> topics;
+  for (int i = 0; i < 300; ++i) {
+    const std::string name = "rt/shots" + std::to_string(i);
+    topics.push_back(std::make_unique<CdrTopic>(domain.participant(), name, kType, kMost));
+  }
+  CHECK(topics.back()->get() > 0);
+}
+
+TEST_CASE("an interface that is not there is an error that names those that are") {
+  DomainSettings settings = alone(1);
+  settings.interface = "none0";
+  const auto [number, what] = error_of([&] { const Domain domain(settings); });
+  CHECK(number == ENODEV);
+  CHECK(what.find("there are ") != std::string::npos);
 }
 
 TEST_CASE("a name that DDS does not allow is an error that says so") {
