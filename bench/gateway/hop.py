@@ -12,7 +12,8 @@ latency     from the push, or dds_write(), to the receipt, at a steady pace. At 
             a process at the same pace.
 throughput  as fast as it goes, with eight frames under way at most
 local       from the push to the receipt by two readers on one host: without a gateway, with one that nobody listens
-            to, and with one that carries all of it to the other host, which this machine is as well
+            to, and with one that carries all of it to the other host, which this machine is as well: as it is
+            started by default, and where both gateways take only what the processors have left
 """
 
 import argparse
@@ -33,6 +34,8 @@ LATENCY = {'1 KiB': (1050, 50, 2000), '64 KiB': (1050, 50, 2000), '1 MiB': (240,
            '4 MiB': (140, 40, 20000), '16 MiB': (90, 40, 80000)}
 THROUGHPUT = {'1 KiB': (30000, 3000, 0), '64 KiB': (6000, 600, 0), '1 MiB': (550, 50, 0), '4 MiB': (240, 40, 0),
               '16 MiB': (100, 40, 0)}
+IDLE = ['chrt', '-i', '0']
+LOCAL_ARMS = ['no gateway', 'a gateway without a peer', 'a gateway, and its peer here, too', 'the same, by chrt -i 0']
 LOCAL = {'1 KiB': (2050, 50, 1000), '1 MiB': (420, 20, 10000)}
 # What the gateway tells CycloneDDS for itself, for the plain program.
 URI = ('<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lot0"/></Interfaces></General><Internal>'
@@ -69,15 +72,16 @@ class Bench:
         return ['--depth', DEPTH, '--bytes', size, '--frames', frames, '--warm-up', warm_up, '--period-us', period]
 
     def run(self, where, readers, program, words, gateways=(), **environment):
-        """What each reader prints. `readers`: their hosts. `gateways`: (host, direction). The sender is on host 0."""
+        """What each reader prints. `readers`: their hosts. `gateways`: (host, direction, what it is started by). The
+        sender is on host 0."""
         self.number += 1
         topic = f'/frames{self.number}'
         board = os.path.join(where.folder.name, f'board{self.number}')
         running = []
-        for host, direction in gateways:
+        for host, direction, by in gateways:
             settings = pathlib.Path(where.folder.name, f'{direction}.yaml')
             settings.write_text(GATEWAY.format(direction=direction, topic=topic), encoding='utf-8')
-            running.append(where.run(host, self.gateway, '--config', settings, **environment))
+            running.append(where.run(host, *by, self.gateway, '--config', settings, **environment))
         there = [where.run(host, program, 'receive', topic, board, *words, '--reader', number, **environment)
                  for number, host in enumerate(readers)]
         sender = where.run(0, program, 'send', topic, board, *words, '--readers', len(readers), **environment)
@@ -92,15 +96,15 @@ class Bench:
 
     def hop(self, where, size, cell):
         return {
-            'LOT - DDS - LOT': lambda: self.run(where, [1], self.lot, self.words(size, cell), [(0, 'out'), (1, 'in')],
-                                                LOT_SIZE=self.size),
+            'LOT - DDS - LOT': lambda: self.run(where, [1], self.lot, self.words(size, cell),
+                                                [(0, 'out', []), (1, 'in', [])], LOT_SIZE=self.size),
             'CycloneDDS': lambda: self.run(where, [1], self.dds, self.words(size, cell), CYCLONEDDS_URI=URI)}
 
     def local(self, where, size, cell):
         def arm(*gateways):
             return lambda: self.run(where, [0, 0], self.lot, self.words(size, cell), gateways, LOT_SIZE=self.size)
-        return {'no gateway': arm(), 'a gateway without a peer': arm((0, 'out')),
-                'a gateway, and its peer here, too': arm((0, 'out'), (1, 'in'))}
+        return dict(zip(LOCAL_ARMS, [arm(), arm((0, 'out', [])), arm((0, 'out', []), (1, 'in', [])),
+                                     arm((0, 'out', IDLE), (1, 'in', IDLE))]))
 
     def floor(self, where, cell):
         frames = where.run(0, self.lot, 'futex', '-', '-', *self.words(0, cell))
@@ -173,8 +177,8 @@ def floor_lines(runs):
 def local_table(runs):
     lines = ['| local | arm | median us | of no gateway | 99 % us | of no gateway |', '|---|---|---|---|---|---|']
     for size in LOCAL:
-        alone = ('local', size, 'no gateway')
-        for arm in 'no gateway', 'a gateway without a peer', 'a gateway, and its peer here, too':
+        alone = ('local', size, LOCAL_ARMS[0])
+        for arm in LOCAL_ARMS:
             key = ('local', size, arm)
             lines.append(f'| {size} | {arm} | {cell(column(runs, key, "median"), 1)} | {ratio(runs, key, alone, "median")} | '
                          f'{cell(column(runs, key, "p99"), 1)} | {ratio(runs, key, alone, "p99")} |')

@@ -4,6 +4,7 @@
 //
 //     lot_arm send|receive|futex TOPIC BOARD [--bytes N] [--frames N] [--period-us N] [--window N]
 
+#include <sched.h>
 #include <sys/wait.h>
 
 #include <lot/lot.hpp>
@@ -47,6 +48,14 @@ void receive(const Settings& settings) {
   receipt.print();
 }
 
+/// Each side on a core of its own, where there are two: on one core a wake-up is ten times as fast.
+void stay_on(int core) {
+  cpu_set_t cores;
+  CPU_ZERO(&cores);
+  CPU_SET(core, &cores);
+  (void)sched_setaffinity(0, sizeof cores, &cores);
+}
+
 /// How long a futex takes to wake a process that has slept for a period.
 void futex(const Settings& settings) {
   struct Shared {
@@ -60,6 +69,7 @@ void futex(const Settings& settings) {
   auto& shared = *static_cast<Shared*>(at);
   const pid_t sender = fork();
   if (sender < 0) throw std::runtime_error("fork");
+  stay_on(sender == 0 ? 1 : 0);
   if (sender == 0) {
     const auto begin = Clock::now();
     for (std::uint32_t n = 0; n < settings.frames; ++n) {

@@ -113,8 +113,7 @@ TEST_CASE("messages of one segment come into another one, whole and in their ord
   CHECK(sent.missed + sent.damaged + got.damaged + got.refused + got.lost == 0);
 }
 
-TEST_CASE(
-    "a gateway encodes no message that nobody in the domain reads, unless its topic is latched") {
+TEST_CASE("a gateway encodes no message that no reader wants, unless its topic is latched") {
   const Watchdog watchdog(60);
   Host a;
   const File file("out:\n  - {topics: /map, durability: transient_local}\n  - /notes");
