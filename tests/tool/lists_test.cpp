@@ -49,7 +49,7 @@ std::string steady(std::string text, const std::string& room) {
     text.replace(at, room.size(), "ROOM");
   }
   const std::pair<const char*, const char*> kWords[] = {
-      {R"((\n  \S[^\n]*  )\d{2,}(  +)(\d+ s|\d+ min)(  ))", "$1PID$2AGE$4"},
+      {R"((\n  \S[^\n]*  )\d+(  +)(\d+ s|\d+ min)(  ))", "$1PID$2AGE$4"},
       {R"(( processes \S+  +)(\d+ s|\d+ min)(  ))", "$1AGE$3"},
       {R"(, [0-9.]+ (KiB|MiB) taken from)", ", MEMORY taken from"},
       {R"((< \d+ s|\?|\d+ s)\n)", "AGE\n"},
