@@ -25,8 +25,6 @@ constexpr dds_duration_t kLook = DDS_MSECS(100);  ///< between two looks
 /// A part of the segment: what one incoming topic takes where the settings do not say it.
 constexpr std::uint64_t kPartOfTheSegment = 8;
 
-bool is_pattern(const std::string& name) { return name.find_first_of("*?[") != std::string::npos; }
-
 std::string dds_name_of(const RouteSettings& row) {
   if (!row.dds_topic.empty()) return row.dds_topic;
   return dds_topic_of(row.topics).value_or("");
@@ -34,7 +32,7 @@ std::string dds_name_of(const RouteSettings& row) {
 
 /// What a topic of the domain is called in the segment, by that row. None: the row is not about it.
 std::optional<std::string> name_here(const RouteSettings& row, const std::string& dds_topic) {
-  if (!is_pattern(row.topics)) {
+  if (!record::is_pattern(row.topics)) {
     return dds_name_of(row) == dds_topic ? std::optional(row.topics) : std::nullopt;
   }
   const std::optional<std::string> name = topic_of_dds(dds_topic);
@@ -249,7 +247,7 @@ void Keeper::retire(OutgoingRoute& route) {
 std::map<std::string, Keeper::Wanted> Keeper::wanted_topics() {
   std::map<std::string, Wanted> wanted;
   for (const RouteSettings& row : settings_.in) {
-    if (is_pattern(row.topics)) continue;
+    if (record::is_pattern(row.topics)) continue;
     const std::string dds_topic = dds_name_of(row);
     if (dds_topic.empty()) {
       refused_[row.topics] =

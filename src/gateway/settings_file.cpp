@@ -16,6 +16,7 @@
 
 #include "gateway/names.hpp"
 #include "gateway/ros_types.hpp"
+#include "record/pattern.hpp"
 
 namespace lot::gateway {
 namespace {
@@ -151,7 +152,7 @@ class File {
       }
     }
     if (settings.topics.empty()) refuse(node, "the topics are missing: topics: NAME");
-    if (!settings.dds_topic.empty() && settings.topics.find_first_of("*?[") != std::string::npos) {
+    if (!settings.dds_topic.empty() && record::is_pattern(settings.topics)) {
       refuse(node, "dds_topic is the name of one topic, and " + settings.topics + " is a pattern");
     }
     return settings;

@@ -9,6 +9,10 @@
 
 namespace lot::record {
 
+/// Whether it has a character by which a shell knows patterns.
+inline bool is_pattern(const std::string& name) {
+  return name.find_first_of("*?[\\") != std::string::npos;
+}
 /// Whether the name, or pattern of a shell, is that name. `*` matches `/` as well.
 inline bool matches(const std::string& pattern, const std::string& name) {
   return pattern == name || fnmatch(pattern.c_str(), name.c_str(), 0) == 0;

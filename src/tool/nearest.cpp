@@ -68,8 +68,6 @@ std::size_t letters_apart(std::string_view a, std::string_view b) {
   return row.back();
 }
 
-bool is_pattern(const std::string& topic) { return topic.find_first_of("*?[\\") != topic.npos; }
-
 std::vector<std::string> topics_there(const Where& where) {
   std::vector<std::string> names;
   try {
@@ -115,7 +113,7 @@ std::string why_no_segment(const Where& where) {
 }
 
 std::string advice_for(const std::string& wanted, const std::vector<std::string>& there) {
-  if (is_pattern(wanted)) {
+  if (record::is_pattern(wanted)) {
     if (const std::string fault = fault_of(wanted); !fault.empty()) return fault;
   }
   const std::string other = wanted.starts_with('/') ? wanted.substr(1) : "/" + wanted;
@@ -123,7 +121,7 @@ std::string advice_for(const std::string& wanted, const std::vector<std::string>
     if (name == other) return "there is " + name_of(name);
     if (lot::record::matches(other, name)) return name_of(other) + " fits " + name_of(name);
   }
-  if (!is_pattern(wanted) && !there.empty()) {
+  if (!record::is_pattern(wanted) && !there.empty()) {
     const auto far = [&](const std::string& name) { return letters_apart(name, wanted); };
     const auto nearest = std::ranges::min_element(there, {}, far);
     if (far(*nearest) <= std::min(kNear, wanted.size() / 2)) return "there is " + name_of(*nearest);

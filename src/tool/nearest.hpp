@@ -14,9 +14,6 @@ namespace lot::tool {
 /// How many letters to change, add or take away.
 std::size_t letters_apart(std::string_view a, std::string_view b);
 
-/// True: it has a character by which a shell knows patterns.
-bool is_pattern(const std::string& topic);
-
 /// Names of the topics that processes use in the segments that `where` names, without that of a
 /// ROS graph. Of segments that cannot be looked into: nothing. Throws nothing but std::bad_alloc.
 std::vector<std::string> topics_there(const Where& where);

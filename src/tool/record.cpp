@@ -302,9 +302,9 @@ class Record {
       }
       const std::string advice = advice_for(wanted, there);
       std::string line = is_wanted ? "" : is_trigger ? "--trigger: " : "--except: ";
-      line += wanted == "*"        ? "no process uses a topic"
-              : is_pattern(wanted) ? "no topic fits " + name
-                                   : "no topic is called " + name;
+      line += wanted == "*"                ? "no process uses a topic"
+              : record::is_pattern(wanted) ? "no topic fits " + name
+                                           : "no topic is called " + name;
       if (!advice.empty()) line += "; " + advice;
       if (is_wanted || is_trigger) line += end;
       lines.push_back(std::move(line));
@@ -449,7 +449,7 @@ class Record {
   void tell_what_is_missing(const RecorderStatus& now) {
     for (const std::string& line : missing(now, "")) report_.hint(line);
     const auto is_asked_for = [&](const std::string& name) {
-      return !is_pattern(name) && std::ranges::count(options_.what.topics, name) != 0;
+      return !record::is_pattern(name) && std::ranges::count(options_.what.topics, name) != 0;
     };
     if (std::ranges::any_of(now.unmatched, is_asked_for)) report_.ends(kWrong);
   }

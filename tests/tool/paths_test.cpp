@@ -13,6 +13,7 @@
 #include "lot/error.hpp"
 
 #include "description/by_hand.hpp"
+#include "record/pattern.hpp"
 #include "support/error_of.hpp"
 #include "tool/field_path.hpp"
 #include "tool/nearest.hpp"
@@ -146,8 +147,8 @@ TEST_CASE("for a name that is not there the one that is meant is told, or some t
     CAPTURE(std::string(wanted));
     CHECK(advice_for(wanted, there) == advice);
   }
-  for (const char* pattern : {"*", "a?", "[a", "\\"}) CHECK(is_pattern(pattern));
-  for (const char* name : {"", "/a_b.c", "]"}) CHECK(!is_pattern(name));
+  for (const char* pattern : {"*", "a?", "[a", "\\"}) CHECK(lot::record::is_pattern(pattern));
+  for (const char* name : {"", "/a_b.c", "]"}) CHECK(!lot::record::is_pattern(name));
   std::vector<std::string> names = {"b", "a", "b", "c", "a"};
   sort_out(names);
   CHECK(names == std::vector<std::string>{"a", "b", "c"});
