@@ -62,41 +62,40 @@ void Progress::set_next(std::uint64_t id, std::uint64_t next) noexcept {
 
 Ledger::Ledger(const std::string& file, std::string_view place) {
   constexpr mode_t kOwnersOnly = 0600;
-  fd_ = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, kOwnersOnly);
-  if (fd_ < 0) fail(file, "the file of the gateway's progress can not be opened");
-  try {
-    if (flock(fd_, LOCK_EX | LOCK_NB) != 0) {
-      throw Error(EBUSY, file, "another gateway has this file", "give each gateway its own");
-    }
-    struct stat its {};
-    if (fstat(fd_, &its) != 0) fail(file, "it can not be looked at");
-    if (its.st_size != 0 && std::cmp_not_equal(its.st_size, sizeof(File))) refuse(file);
-    // Room on the disk now: a store to a mapped page that finds none later would end the process.
-    errno = posix_fallocate(fd_, 0, sizeof(File));
-    if (errno != 0) fail(file, "it can not be made so large");
-    void* const at = mmap(nullptr, sizeof(File), PROT_READ | PROT_WRITE, MAP_SHARED, fd_, 0);
-    if (at == MAP_FAILED) fail(file, "it can not be mapped");
-    file_ = static_cast<File*>(at);
-    if (file_->magic != kMagic && file_->magic != 0) {
-      munmap(at, sizeof(File));
-      refuse(file);
-    }
-  } catch (...) {
-    close(fd_);
-    throw;
+  const auto opened = [&] {
+    const int fd = open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC | O_NOFOLLOW, kOwnersOnly);
+    if (fd < 0) fail(file, "the file of the gateway's progress can not be opened");
+    return mcap::Descriptor(fd);
+  };
+  lock_ = opened();
+  if (flock(lock_.get(), LOCK_EX | LOCK_NB) != 0) {
+    throw Error(EBUSY, file, "another gateway has this file", "give each gateway its own");
+  }
+  // Another descriptor: a mapping of the one that is locked would hold the lock.
+  const mcap::Descriptor mapped = opened();
+  struct stat its {};
+  if (fstat(mapped.get(), &its) != 0) fail(file, "it can not be looked at");
+  if (its.st_size != 0 && std::cmp_not_equal(its.st_size, sizeof(File))) refuse(file);
+  // Room on the disk now: a store to a mapped page that finds none later would end the process.
+  errno = posix_fallocate(mapped.get(), 0, sizeof(File));
+  if (errno != 0) fail(file, "it can not be made so large");
+  void* const at = mmap(nullptr, sizeof(File), PROT_READ | PROT_WRITE, MAP_SHARED, mapped.get(), 0);
+  if (at == MAP_FAILED) fail(file, "it can not be mapped");
+  file_ = static_cast<File*>(at);
+  if (file_->magic != kMagic && file_->magic != 0) {
+    munmap(at, sizeof(File));
+    refuse(file);
   }
   const std::uint64_t hash = std::hash<std::string_view>()(place);
   if (file_->magic == kMagic && file_->place == hash) return;
   std::memset(static_cast<void*>(file_), 0, sizeof(File));
   file_->place = hash;
   file_->id = random_id();
-  file_->magic = kMagic;
+  // Release: killed before it, the next gateway makes the file anew.
+  std::atomic_ref(file_->magic).store(kMagic, std::memory_order_release);
 }
 
-Ledger::~Ledger() {
-  munmap(file_, sizeof(File));
-  close(fd_);
-}
+Ledger::~Ledger() { munmap(file_, sizeof(File)); }
 
 std::uint64_t Ledger::id() const noexcept { return file_->id; }
 

@@ -10,6 +10,7 @@
 #include <string_view>
 
 #include "gateway/counts.hpp"
+#include "mcap/files.hpp"
 
 namespace lot::gateway {
 
@@ -67,7 +68,7 @@ class Ledger {
  private:
   struct File;
 
-  int fd_ = -1;
+  mcap::Descriptor lock_;  ///< held as long as the file is this gateway's
   File* file_ = nullptr;
 };
 
