@@ -206,7 +206,7 @@ def main():
                 print(f'run {number + 1} of {arguments.runs}', file=sys.stderr, flush=True)
                 runs.append(measure(bench, where, number, wanted))
     except hosts.Refused as refused:
-        print(f'skipped: {hosts.NO_ROOT if os.geteuid() != 0 else hosts.NO_NETWORK}')
+        print(hosts.skipped())
         print(refused, file=sys.stderr)
         return
     lines = []

@@ -34,12 +34,7 @@ def table(gateway, direction, topic):
 
 class Case(unittest.TestCase):
     def begin(self, bad=None):
-        try:
-            self.hosts = hosts.Hosts(bad)
-        except hosts.Refused as refused:
-            print(f'skipped: {hosts.NO_ROOT if os.geteuid() != 0 else hosts.NO_NETWORK}')
-            self.skipTest(str(refused))
-        self.addCleanup(self.hosts.close)
+        self.hosts = hosts.Hosts.of_test(self, bad)
 
     def gateway(self, host, direction, topic, **settings):
         file = pathlib.Path(self.hosts.folder.name, f'gateway{host}.yaml')

@@ -24,6 +24,11 @@ class Refused(Exception):
     """This system gives no namespaces, and why."""
 
 
+def skipped():
+    """What a program says that cannot have hosts here."""
+    return f'skipped: {NO_ROOT if os.geteuid() != 0 else NO_NETWORK}'
+
+
 def must(*command):
     result = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     if result.returncode != 0:
@@ -170,6 +175,17 @@ class Hosts:
             for suffix in '', '.lock':
                 pathlib.Path('/dev/shm', segment + suffix).unlink(missing_ok=True)
         self.folder.cleanup()
+
+    @classmethod
+    def of_test(cls, test, bad=None):
+        """Those of a test of unittest, closed with it. Where this system gives none it is skipped."""
+        try:
+            hosts = cls(bad)
+        except Refused as refused:
+            print(skipped())
+            test.skipTest(str(refused))
+        test.addCleanup(hosts.close)
+        return hosts
 
     def __enter__(self):
         return self

@@ -28,12 +28,7 @@ def count_for(size):
 
 class Case(unittest.TestCase):
     def setUp(self):
-        try:
-            self.hosts = hosts.Hosts()
-        except hosts.Refused as refused:
-            print(f'skipped: {hosts.NO_ROOT if os.geteuid() != 0 else hosts.NO_NETWORK}')
-            self.skipTest(str(refused))
-        self.addCleanup(self.hosts.close)
+        self.hosts = hosts.Hosts.of_test(self)
 
     def gateway(self, host, *words):
         return self.hosts.run(host, GATEWAY, '--interface', hosts.CABLE, *words)

@@ -8,7 +8,6 @@ BUILD is the tree that has the programs; MODULES the node_modules that scripts/s
 namespaces with a cable between them; the node of ROS 2 runs on host B.
 """
 
-import os
 import pathlib
 import re
 import shlex
@@ -56,7 +55,7 @@ def main():
     try:
         both = hosts.Hosts()
     except hosts.Refused:
-        print(f'skipped: {hosts.NO_ROOT if os.geteuid() != 0 else hosts.NO_NETWORK}')
+        print(hosts.skipped())
         return
     with both:
         run(both, 0, 'Host A')

@@ -9,7 +9,6 @@ of it; on host 1 @foxglove/ros2 reads their messages by the definitions of Humbl
 """
 
 import json
-import os
 import pathlib
 import shutil
 import sys
@@ -70,12 +69,7 @@ class Ros1(unittest.TestCase):
         if not (shutil.which('node') and pathlib.Path(MODULES, '@foxglove', 'ros2').is_dir()):
             print('skipped: no packages of npm here (scripts/setup test)')
             self.skipTest('there is no @foxglove/ros2')
-        try:
-            both = hosts.Hosts()
-        except hosts.Refused as refused:
-            print(f'skipped: {hosts.NO_ROOT if os.geteuid() != 0 else hosts.NO_NETWORK}')
-            self.skipTest(str(refused))
-        self.addCleanup(both.close)
+        both = hosts.Hosts.of_test(self)
         inside = ['setpriv', '--pdeathsig', 'KILL', *both.inside(0)]
         with graph.Graph(inside=inside, host=hosts.address(0)) as ros:
             settings = ros.home / 'gateway.yaml'

@@ -9,7 +9,6 @@ namespaces with a cable between them; the program of ROS 2 runs on host 1.
 """
 
 import json
-import os
 import pathlib
 import shutil
 import sys
@@ -39,12 +38,7 @@ class Ros2(unittest.TestCase):
         if not (shutil.which('node') and pathlib.Path(MODULES, '@foxglove', 'ros2').is_dir()):
             print('skipped: no packages of npm here (scripts/setup test)')
             self.skipTest('there is no @foxglove/ros2')
-        try:
-            self.hosts = hosts.Hosts()
-        except hosts.Refused as refused:
-            print(f'skipped: {hosts.NO_ROOT if os.geteuid() != 0 else hosts.NO_NETWORK}')
-            self.skipTest(str(refused))
-        self.addCleanup(self.hosts.close)
+        self.hosts = hosts.Hosts.of_test(self)
         settings = pathlib.Path(self.hosts.folder.name, 'gateway.yaml')
         settings.write_text(SETTINGS, encoding='utf-8')
         self.hosts.run(0, GATEWAY, '--interface', hosts.CABLE, '--config', settings)

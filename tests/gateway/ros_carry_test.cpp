@@ -19,6 +19,7 @@
 #include "gateway/peer.hpp"
 #include "gateway/program.hpp"
 #include "gateway/quality.hpp"
+#include "gateway/two_domains.hpp"
 #include "support/processes.hpp"
 
 namespace geometry_msgs {
@@ -37,7 +38,6 @@ namespace {
 
 using gateway::CdrTopic;
 using gateway::Domain;
-using gateway::DomainSettings;
 using gateway::Entity;
 using geometry_msgs::Twist;
 
@@ -45,21 +45,6 @@ struct Host {
   EngineOptions where = fresh();
   ShmEngine engine{where};
 };
-
-/// What the gateways of this test meet, in this process.
-DomainSettings beside_the_gateways() {
-  DomainSettings settings;
-  settings.id = 1;
-  settings.interface = "127.0.0.1";
-  settings.more =
-      "<General><AllowMulticast>false</AllowMulticast></General>"
-      "<Discovery><ExternalDomainId>0</ExternalDomainId><Tag>lot" +
-      std::to_string(getpid()) +
-      "</Tag><ParticipantIndex>auto</ParticipantIndex>"
-      "<MaxAutoParticipantIndex>99</MaxAutoParticipantIndex>"
-      "<Peers><Peer Address=\"127.0.0.1\"/></Peers></Discovery>";
-  return settings;
-}
 
 /// A writer of rt/cmd_vel.
 class Writer {
@@ -89,7 +74,7 @@ class Writer {
   }
 
  private:
-  const Domain domain_{beside_the_gateways()};
+  const Domain domain_{alone(1, 0)};
   const CdrTopic topic_;
   Entity writer_;
 };
