@@ -173,11 +173,11 @@ IncomingRoute::Known& IncomingRoute::known(dds_instance_handle_t writer) {
 void IncomingRoute::count_lost(Known& writer, std::uint64_t number) {
   const std::uint64_t too_large = cdr_.too_large();
   const std::uint64_t refused = too_large - std::exchange(too_large_, too_large);
-  const std::uint64_t position = writer.before + number;
+  const std::uint64_t running = writer.before + number;
   const std::uint64_t next = writer.line == 0 ? writer.next : progress_.next_of(writer.line);
-  const std::uint64_t gap = next == 0 || position < next ? 0 : position - next;
+  const std::uint64_t gap = next == 0 || running < next ? 0 : running - next;
   tally_.add(&Counts::lost, gap - std::min(gap, refused));
-  const std::uint64_t then = std::max(next, position + 1);
+  const std::uint64_t then = std::max(next, running + 1);
   writer.next = then;
   if (writer.line != 0) progress_.set_next(writer.line, then);
 }
