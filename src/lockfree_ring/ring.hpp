@@ -207,30 +207,32 @@ struct Ring {
     who[c].store(0, std::memory_order_release);      // R3, R8
   }
 
-  /// How many messages before `head` a joiner may begin that wants `history` of them.
+  /// How many messages before `head` a joiner may begin that wants `history` of them. `published`:
+  /// how many there ever were.
   ///
   /// For a reader that no hazard guards the limit is the depth less one: the sender must not
   /// overtake it, and may be one message ahead of what the joiner saw. The floor is a limit as
   /// well, unless the ring left it behind so long ago that the sequences have wrapped.
-  std::uint64_t reach(Word head, std::uint64_t history, Word lowest, bool is_guarded) const {
+  std::uint64_t reach(Word head, std::uint64_t published, std::uint64_t history, Word lowest,
+                      bool is_guarded) const {
     const std::uint64_t limit = std::uint64_t{most()} - (is_guarded ? 0 : 1);
-    const std::uint64_t back = std::min({history, limit, published(head)});
+    const std::uint64_t back = std::min({history, limit, published});
     const std::int64_t since = distance(head, lowest);
     const bool limits = lowest != first && since >= 0;
     return limits ? std::min(back, static_cast<std::uint64_t>(since)) : back;
   }
   /// The number of all messages that were ever published before `head`. When that number has
-  /// wrapped the ring has long been full, and this is the most that it may have.
-  std::uint64_t published(Word head) const {
+  /// wrapped the ring has long been full, and this is the most that it may have. `last`: the word
+  /// of the last slot, as it was when `head` was found. A later one may be of a message that came
+  /// behind `head`.
+  std::uint64_t published(Word head, Word last) const {
     const std::int64_t since_first = distance(head, first);
-    if (since_first < 0 || (since_first < places() && slot_was_used(places() - 1))) return most();
+    const bool is_full = was_used(places() - 1, last);
+    if (since_first < 0 || (since_first < places() && is_full)) return most();
     return static_cast<std::uint64_t>(since_first);
   }
-  /// False while slot i is as format() made it.
-  bool slot_was_used(std::uint32_t i) const {
-    // Relaxed: a joiner depends on its seq_cst loads of the slots (R4), not on this one. The writer
-    // has written the slots itself.
-    const Word word = slots[i].load(std::memory_order_relaxed);
+  /// False if this word of slot i is as format() made it.
+  bool was_used(std::uint32_t i, Word word) const {
     return block(word) != kNoBlock || sequence(word) != advance(first, Word{i} - places());
   }
 
@@ -303,7 +305,8 @@ struct Ring {
   /// True when a reader that has not looked yet gets a message here, or must count one as missed.
   bool has_news() const {
     if (depth == 0) return false;  // a process that was killed in recycling leaves a ring like this
-    if (!taken) return slot_was_used(0);
+    // Relaxed: as below.
+    if (!taken) return was_used(0, slots[0].load(std::memory_order_relaxed));
     for (std::uint32_t i = 0; i < places(); ++i) {
       // Relaxed: the lock for ended rings carries what was written or taken under it.
       if (block(slots[i].load(std::memory_order_relaxed)) != kNoBlock) return true;
@@ -655,7 +658,10 @@ class Writer {
     auto& word = ring_.cells[c].position;
     Word position = word.load(std::memory_order_seq_cst);  // R3, R6
     while (is_joining(position)) {
-      const std::uint64_t back = ring_.reach(next_, sequence(position), floor_, ring_.guarded());
+      // Relaxed: the writer has written the slots itself.
+      const Word last = ring_.slots[places_ - 1].load(std::memory_order_relaxed);
+      const std::uint64_t back = ring_.reach(next_, ring_.published(next_, last),
+                                             sequence(position), floor_, ring_.guarded());
       const Word place = make(advance(next_, Word{0} - back), kNoBlock);
       // Relaxed: the place is all that it tells. If the joiner was quicker, its own place counts,
       // which the failing compare-and-swap acquires (R3).
@@ -1069,21 +1075,23 @@ class Reader {
     // The floor before the slots: so the floor is not beyond the newest message found in them.
     const Word lowest = ring_.floor->load(std::memory_order_seq_cst);  // R15
     newest_index_ = 0;
-    newest_ = sequence(ring_.slots[0].load(std::memory_order_seq_cst));  // R4
+    Word word = ring_.slots[0].load(std::memory_order_seq_cst);  // R4
+    newest_ = sequence(word);
     for (std::uint32_t i = 1; i < places_; ++i) {
-      const Word here = sequence(ring_.slots[i].load(std::memory_order_seq_cst));  // R4
-      if (distance(here, newest_) > 0) {
-        newest_ = here;
+      word = ring_.slots[i].load(std::memory_order_seq_cst);  // R4
+      if (distance(sequence(word), newest_) > 0) {
+        newest_ = sequence(word);
         newest_index_ = i;
       }
     }
     const Word head = next(newest_);
-    std::uint64_t back = ring_.reach(head, history, lowest, guarded_);
+    const std::uint64_t published = ring_.published(head, word);
+    std::uint64_t back = ring_.reach(head, published, history, lowest, guarded_);
     if (history == kFromTheStart && guarded_ && !ring_.taken) {
-      back = ring_.published(head);  // poll() counts overwritten messages as missed
+      back = published;  // poll() counts overwritten messages as missed
     }
     start_at(advance(head, Word{0} - back));
-    if (history == kFromTheStart && !ring_.taken) skipped_ = ring_.published(head) - back;
+    if (history == kFromTheStart && !ring_.taken) skipped_ = published - back;
   }
 
   /// Begins again when messages have come back: they lie behind the cursor.

@@ -311,6 +311,31 @@ struct LateJoinerOverwrite : Scene<LateJoinerOverwrite, 2> {
   Subscriber subscriber;
 };
 
+/// A reader that joins while the first messages of a ring are sent, and wants the past, is not told
+/// that it has missed more than there were.
+struct JoinsAtTheFirst : Scene<JoinsAtTheFirst, 2> {
+  JoinsAtTheFirst() : Scene({.blocks = 3, .depth = 1, .readers = 1}) {}
+  void prepare() {
+    publisher.open(start(4), 0, false);
+    start(2);
+  }
+  void thread(unsigned t) {
+    if (t == 0) {
+      for (int i = 0; i < 2; ++i) publisher.send();
+    } else {
+      RL_ASSERT(subscriber.join(process(2), 0, 1, 1));
+      subscriber.receive();
+    }
+  }
+  void check() {
+    while (subscriber.receive()) {
+    }
+    RL_ASSERT(subscriber.received() + subscriber.missed() <= publisher.sent());
+  }
+  Publisher publisher;
+  Subscriber subscriber;
+};
+
 /// A publisher that takes its oldest messages back does not take them from under a borrower, and a
 /// reader counts them as missed.
 struct EvictAgainstBorrow : Scene<EvictAgainstBorrow, 2> {
@@ -644,6 +669,7 @@ const Entered entered{
      cast_of<OnlyJoinerBlocking>, 3},
     {"late_joiner_overwrite", "what a late joiner borrows is never written",
      cast_of<LateJoinerOverwrite>, 2},
+    {"joins_at_the_first", "a joiner misses no more than there were", cast_of<JoinsAtTheFirst>, 2},
     {"evict_against_borrow", "an evicted block is not taken from a borrower",
      cast_of<EvictAgainstBorrow>, 2},
     {"takes_back_what_was_read", "a lossless ring gives up what was read, and readers miss nothing",
@@ -683,6 +709,8 @@ const Entered entered{
      cast_of<InSlots<LateJoinerBlocking>>, 1},
     {"late_joiner_overwrite_in_slots", "what a late joiner copies is whole",
      cast_of<InSlots<LateJoinerOverwrite>>, 2},
+    {"joins_at_the_first_in_slots", "a joiner misses no more than there were",
+     cast_of<InSlots<JoinsAtTheFirst>>, 2},
     {"only_joiner_blocking_in_slots", "a joiner does not lose what the sender sends meanwhile",
      cast_of<InSlots<OnlyJoinerBlocking>>, 3},
     {"read_is_reused_in_slots", "what all have read is taken back, and no reader misses a message",

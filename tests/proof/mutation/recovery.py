@@ -160,8 +160,12 @@ MISTAKES = (
         '    refresh_roster();\n    if (!minimum_known_) find_slowest();\n'
         '    return distance(message, minimum_) < 0;\n', '    return true;\n'),)),
     Planted('the sender gives a joiner a place before the floor', 'src/lockfree_ring/ring.hpp', 'ring', ((
-        'ring_.reach(next_, sequence(position), floor_, ring_.guarded());',
-        'ring_.reach(next_, sequence(position), ring_.first, ring_.guarded());'),)),
+        'sequence(position), floor_, ring_.guarded());',
+        'sequence(position), ring_.first, ring_.guarded());'),)),
+    Planted('a joiner looks anew whether the ring was full', 'src/lockfree_ring/ring.hpp', 'ring', ((
+        '    const std::uint64_t published = ring_.published(head, word);\n',
+        '    const std::uint64_t published =\n'
+        '        ring_.published(head, ring_.slots[places_ - 1].load(std::memory_order_relaxed));\n'),)),
     Planted('a lossless publisher waits for an observer', 'src/lockfree_ring/ring.hpp', 'ring', ((
         '      if (position == kIdle || is_observer(position)) continue;\n      if (distance(sequence',
         '      if (position == kIdle) continue;\n      if (distance(sequence'),)),
