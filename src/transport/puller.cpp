@@ -29,6 +29,10 @@ constexpr unsigned kBurst = 4;
 constexpr unsigned kPausesAfterBurst = 50;
 /// In a stream, the reader fetches the cache lines of the message that is this many places ahead.
 constexpr std::uint32_t kLookAhead = 6;
+/// A look makes at least so many tries to get a message out of a ring that has some. A publisher
+/// that overwrites the only slot of its ring in a burst is as fast as a reader that copies there:
+/// two tries were too few now and then, and the reader was told that there was nothing.
+constexpr std::uint32_t kTries = 64;
 constexpr auto kBusyRegistry = 5ms;
 constexpr auto kLongestSleep = 1s;
 /// For a subscription that holds too much: the time between two looks whether messages have been
@@ -349,13 +353,14 @@ class Puller final : public RingPuller {
     return false;
   }
 
-  /// Looks into one ring, at most for twice its depth. Without that limit it could go on for ever:
-  /// other readers may be faster each time, and a faulty process may change the words all the time.
-  /// The poll finds by itself where words lead round and round the sequence numbers.
+  /// Looks into one ring, at most for twice its depth, or kTries. Without that limit it could go on
+  /// for ever: other readers may be faster each time, and a faulty process may change the words all
+  /// the time. The poll finds by itself where words lead round and round the sequence numbers.
   [[gnu::hot]] bool look_into(Source& source, detail::Borrowed& borrowed) {
     const Source::Turn turn(source);
     ring::Word lapped = 0;
-    for (std::uint32_t tries = 0; tries < 2 * source.reader.ring().depth; ++tries) {
+    const std::uint32_t most = std::max(2 * source.reader.ring().depth, kTries);
+    for (std::uint32_t tries = 0; tries < most; ++tries) {
       const ring::Word b = working_ ? source.reader.poll_unclaimed(missed_, lapped)
                                     : source.reader.poll(missed_, lapped);
       if (b == kNoBlock) return false;
