@@ -99,7 +99,6 @@ void Account::received(const Place& place, std::uint64_t missed) {
              " were neither received nor told as missed (" + std::to_string(missed) + " were)",
          i);
   }
-  if (kTopic[topic_].queueing == Queueing::Overwrite) settle_credit();
 }
 
 void Account::first_of(const Place& place, std::int64_t& least_gap, std::int64_t& most_gap) {

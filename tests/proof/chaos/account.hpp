@@ -19,8 +19,9 @@ namespace lot::chaos {
 ///    numbers rise, and a step of more than one is a gap.
 ///  - *Gaps.* Where a gap opens, missed() must have covered it by then. The difference is
 ///        credit = all that missed() has told - all gaps so far,
-///    and less than 0 means: lost. It may be more than 0 for a while (a publisher's ring whose
-///    missed messages are told with a message of another ring, before its own next one), but when
+///    and less than 0 means: lost. It may be more than 0 for a while: a publisher's ring whose
+///    missed messages are told with a message of another ring, before its own next one (a pull has
+///    no block yet for a message that came to a slot while it looked). But when
 ///    a look has found nothing every ring was read to its end and it is 0. The message that a
 ///    dying publisher may or may not have got out is no problem: it makes no gap, being the last.
 ///  - *The end.* A look that finds nothing has looked at every ring. So whatever was completely

@@ -146,6 +146,7 @@ void Supervisor::calm() {
     });
     if (!clean && !interrupted_) board_.report(Finding::Leaked, kMostNodes, "at rest: " + rest);
     check_taken(living());
+    write_off(living());
     check_finished(living(), segment_file(path()));
     ++tally_.audits;
   }
@@ -209,6 +210,8 @@ void Supervisor::finish(EpochPlan::End end) {
   }
   if (over()) return;
   check_taken({});
+  // Who goes on takes what is left, and sees what was taken before it.
+  if (end != EpochPlan::End::KillAndGoOn) write_off({});
   if (end == EpochPlan::End::LeaveAll) {
     check_files("all had left");
   } else if (end != EpochPlan::End::KillAndGoOn) {
@@ -274,6 +277,12 @@ void Supervisor::check_taken(const Living& living) {
   if (!pump_until(none) && !interrupted_ && !lost.empty()) {
     board_.report(Finding::Lost, kMostNodes, lost);
   }
+}
+
+/// What is missing has gone with the takers that were killed so far: they explain nothing else.
+/// REQUIRES: nobody will see later that more was taken before.
+void Supervisor::write_off(const Living& living) {
+  if (over()) return;
   tally_.gone_with_takers += hands_.write_off(living);
   tally_.killed_over_a_take = hands_.seen();
 }

@@ -57,6 +57,7 @@ class Supervisor {
   void end_with_last();
   void check_files(const char* when);
   void check_taken(const Living& living);
+  void write_off(const Living& living);
   void check_finished(const Living& living, std::uint64_t segment);
 
   void start(unsigned slot);
