@@ -62,9 +62,11 @@ def place_of(program):
 
 
 def cases_of_doctest(program, environment, folder):
-    """(case, the options that choose it) of each."""
+    """(case, the options that choose it) of each. None: it is another program."""
     listed = subprocess.run([program, '-ltc', '-nc'], cwd=folder, capture_output=True, text=True,
                             env={**os.environ, **environment}, timeout=60)
+    if not listed.stdout.startswith('[doctest]'):
+        return None
     lines = [line for line in listed.stdout.splitlines() if not line.startswith(('[doctest]', '==='))]
     return [(line.strip(), ['-nc', '-aa=1', f'-f={i}', f'-l={i}']) for i, line in enumerate(lines, 1)]
 
@@ -79,9 +81,14 @@ def cases_of(name, command, environment, folder):
     if name.startswith('outside_'):
         return [Case(f'{name}: seed {seed}', [*command, '--seed', str(seed)], environment, folder) for seed in SEEDS]
     if len(command) == 1 and place_of(command[0]).startswith('tests/'):
-        return [Case(f'{name}: {line}', [*command, *chosen], environment, folder)
-                for line, chosen in cases_of_doctest(command[0], environment, folder)]
-    if command[-1].endswith('.py') and 'unittest.main' in (text := pathlib.Path(command[-1]).read_text()):
+        chosen_cases = cases_of_doctest(command[0], environment, folder)
+        if chosen_cases is not None:
+            return [Case(f'{name}: {line}', [*command, *chosen], environment, folder)
+                    for line, chosen in chosen_cases]
+    # Names may follow where the last word is for unittest.
+    script = next((word for word in command if word.endswith('.py')), '')
+    takes_names = script and command[-1] in (script, '-v')
+    if takes_names and 'unittest.main' in (text := pathlib.Path(script).read_text()):
         found, group = [], None
         for line in text.splitlines():
             if match := re.match(r'class (\w+)\(', line):

@@ -42,6 +42,7 @@ NEEDED = {
     'gateway': {'src/gateway/all', 'tests/gateway/all'},
     'outside': {'tests/proof/outside/all'},
     'codec': {'tests/codec/all'},
+    'python': {'src/python/all', 'tests/python/all'},
     'crash': {'crash_node'}}
 ERROR = re.compile(r'^(?:In file included from )?([^\s:][^:\n]*):(\d+):(\d+): (?:fatal )?(error|note): (.*)$', re.M)
 
