@@ -193,6 +193,9 @@ TEST_CASE("other names, another order or another type make another type") {
   // Fields without names meet any names.
   CHECK(AnyType::structure("robot::Point", {{"", real(4)}, {"", real(4)}}).is_same(compiled));
   CHECK_FALSE(AnyType::structure("robot::Point", {{"", real(4)}}).is_same(compiled));
+  CHECK_FALSE(compiled.is_same(AnyType()));
+  CHECK_FALSE(AnyType().is_same(compiled));
+  CHECK(AnyType().is_same(AnyType()));
 }
 
 TEST_CASE("a type is taken apart, and its parts make the same type again") {

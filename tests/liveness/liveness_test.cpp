@@ -26,6 +26,7 @@ namespace {
 using namespace lot::testing;
 using lot::liveness::LockFile;
 using lot::liveness::LockHolder;
+using lot::liveness::LockProbe;
 
 struct Number {
   std::uint64_t value;
@@ -165,6 +166,22 @@ TEST_CASE("a lock is seen by others, and goes with the process that holds it") {
     file.leave_gate();
     CHECK(!second.enter_gate(1s));  // it was removed: open it again
   }
+}
+
+TEST_CASE("a probe follows no link, and takes no other file for a lock file") {
+  const std::string path = "/dev/shm/" + unique_name() + ".lock";
+  const std::string link = path + "_link";
+  CHECK(!LockProbe(path).is_lock_file());
+  {
+    LockFile file(path);
+    CHECK(LockProbe(path).is_lock_file());
+    REQUIRE(symlink(path.c_str(), link.c_str()) == 0);
+    CHECK(!LockProbe(link).is_lock_file());
+    unlink(link.c_str());
+    REQUIRE(truncate(path.c_str(), 1) == 0);
+    CHECK(!LockProbe(path).is_lock_file());
+  }
+  unlink(path.c_str());
 }
 
 TEST_CASE("closefrom() in a living process: it is not reaped, goes on, and gets its lock back") {

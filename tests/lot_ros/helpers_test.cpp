@@ -225,6 +225,22 @@ TEST_CASE("fields of a cloud are laid out as by the standard modifier") {
   CHECK(none == none.end());
 }
 
+TEST_CASE("fields of a cloud that are set anew replace the former ones, for all its points") {
+  using F = sensor_msgs::PointField;
+  Made<Cloud> cloud;
+  lot::ros::PointCloud2Modifier modifier(*cloud);
+  modifier.setPointCloud2Fields(1, "intensity", 1, F::FLOAT64);
+  cloud->width = 3;
+  cloud->height = 2;
+  modifier.setPointCloud2Fields(2, "range", 1, F::FLOAT32, "ring", 1, F::INT16);
+  CHECK(cloud->fields.size() == 2);
+  CHECK(cloud->row_step == 3 * 6);
+  CHECK(cloud->data.size() == 2 * 3 * 6);
+  modifier.setPointCloud2FieldsByString(1, "xyz");
+  CHECK(cloud->fields.size() == 3);
+  CHECK(cloud->row_step == 3 * 16);
+}
+
 TEST_CASE("clouds go to PCL and back with every point") {
   pcl::PointCloud<pcl::PointXYZRGB> points(70, 100);
   for (std::size_t i = 0; i < points.size(); ++i) {

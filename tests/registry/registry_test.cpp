@@ -177,6 +177,38 @@ TEST_CASE("a topic of a process that was killed is free for another type") {
   CHECK(eventually([&] { return refusal([&] { return engine.subscribe<Pear>("/p"); }).empty(); }));
 }
 
+TEST_CASE("an observer that was killed is noted at its topic no more") {
+  const Watchdog watchdog(60);
+  const auto options = fresh();
+  lot::ShmEngine engine(options);
+  auto pusher = engine.advertise<Apple>("/p");
+  const lot::segment::Segment segment(engine.path());
+  const auto is_observed = [&] {
+    for (const auto& topic : segment.topics()) {
+      for (std::uint32_t k = 0; k < segment.capacity().participants; ++k) {
+        using lot::segment::Atomics;
+        const auto word = topic.observers[k / Atomics::kBitsPerWord].load();
+        if ((word >> k % Atomics::kBitsPerWord & 1) != 0) return true;
+      }
+    }
+    return false;
+  };
+  CHECK(!is_observed());
+  Steps ready;
+  Child victim([&] {
+    lot::ShmEngine other(options);
+    lot::PullerOptions observing;
+    observing.observer = true;
+    auto puller = other.subscribe<Apple>("/p", observing);
+    ready.tell();
+    pause();
+  });
+  REQUIRE(ready.next() == '.');
+  CHECK(is_observed());
+  victim.kill9();
+  CHECK(eventually([&] { return !is_observed(); }));
+}
+
 TEST_CASE("bad topic names and depths are refused") {
   lot::ShmEngine engine(fresh());
   for (const std::string& bad : {std::string(), std::string(200, 'x'), std::string("a\0b", 3)}) {

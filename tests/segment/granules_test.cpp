@@ -127,8 +127,9 @@ TEST_CASE("a claim that does not fit gives back what it had taken of the run") {
   CHECK(pool.granules.claim(2, 2) == 4);
 }
 
-TEST_CASE("a run that is longer than the pool is refused") {
+TEST_CASE("a run that is longer than the pool, or of nothing, is refused") {
   Pool pool(5);
+  CHECK(pool.granules.claim(0, 1) == Granules::kNone);
   CHECK(pool.granules.claim(6, 1) == Granules::kNone);
   CHECK(pool.granules.claim(~std::uint32_t{0}, 1) == Granules::kNone);
   CHECK(pool.granules.claim(5, 1) == 0);

@@ -256,6 +256,8 @@ TEST_CASE("lot hz --all tells of each publisher, and of one that takes the place
   }
   CHECK(hz.interrupted().at("missed") == 0);
   CHECK(hz.finish().exit == 0);
+  Running together(on(room.options(), {"hz", "/notes", "--interval", "50"}));
+  CHECK_FALSE(names(together.line(), "PUBLISHER"));
   Running text(on(room.options(), {"hz", "/notes", "--all", "--interval", "50"}));
   CHECK(names(text.line(), "PUBLISHER"));
   bool has_fast = false;
