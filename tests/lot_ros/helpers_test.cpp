@@ -473,6 +473,13 @@ TEST_CASE("points where they lie: as they are laid out, or a word why not") {
   CHECK(says(with([](Cloud& c) { c.row_step = 96, c.data.resize(200); }), "bytes apart"));
   CHECK(says(with([](Cloud& c) { c.point_step = 20, c.row_step = 100, c.data.resize(200); }),
              "20 bytes apart, and not 16"));
+  Made<Cloud> coloured;
+  coloured->data.reserve(1 << 17);
+  pcl::toROSMsg(pcl::PointCloud<pcl::PointXYZRGB>(5, 2), *coloured);
+  REQUIRE(coloured->fields.back().name == std::string("rgb"));
+  CHECK(lot::ros::points<pcl::PointXYZRGB>(*coloured).size() == 10);
+  CHECK(lot::ros::points<pcl::PointXYZRGBA>(*coloured).size() == 10);  // the same four bytes
+
   Cloud none;
   none.fields = good.fields;
   none.point_step = 16;

@@ -341,9 +341,13 @@ TEST_CASE("a recording is split by size, and no message is lost or twice") {
   const RecorderStatus status = recorder.status();
   REQUIRE(status.files.size() >= 4);
   std::uint32_t next = 0;
+  std::size_t number = 0;
   for (const std::string& file : status.files) {
-    const Content content(file);
+    Content content(file);
     CHECK(content.reader.has_summary());
+    const auto begin = content.reader.metadata();
+    REQUIRE_FALSE(begin.empty());
+    CHECK(content.reader.read(begin.front()).pairs.at("file") == std::to_string(number++));
     CHECK(std::filesystem::file_size(file) < (1 << 20) + 4096);
     for (const auto& one : content.messages) CHECK(one.sequence == next++);
   }
