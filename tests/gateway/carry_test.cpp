@@ -88,8 +88,6 @@ TEST_CASE("messages of one segment come into another one, whole and in their ord
   const Watchdog watchdog(110);
   Host a;
   Host b;
-  const File file(
-      "out:\n  - {topics: /notes, depth: 1000}\nin:\n  - {topics: /notes, depth: 1000}");
   auto pusher = a.engine.advertise<Note>("/notes");
   auto puller = b.engine.subscribe<Note>("/notes");
   Gateway out(a.where, {"--out", "/notes"});
@@ -111,6 +109,44 @@ TEST_CASE("messages of one segment come into another one, whole and in their ord
   CHECK(sent.carried >= kNotes);
   CHECK(got.carried >= kNotes);
   CHECK(sent.missed + sent.damaged + got.damaged + got.refused + got.lost == 0);
+}
+
+TEST_CASE("a topic has the name between the hosts that the settings of both say") {
+  const Watchdog watchdog(110);
+  Host a;
+  Host b;
+  const File of_a("out:\n  - {topics: my-notes, dds_topic: rt/between}");
+  const File of_b("in:\n  - {topics: /notes_of_a, dds_topic: rt/between}");
+  auto pusher = a.engine.advertise<Note>("my-notes");
+  auto puller = b.engine.subscribe<Note>("/notes_of_a");
+  Gateway out(a.where, {"--config", of_a.path});
+  Gateway in(b.where, {"--config", of_b.path});
+  wait_until_carried(pusher, puller);
+  CHECK(out.end()["out my-notes"].carried != 0);
+  CHECK(in.end()["in /notes_of_a"].carried != 0);
+}
+
+TEST_CASE("a gateway prints its table once for a signal, and begins its errors with its name") {
+  const Watchdog watchdog(110);
+  Host a;
+  Host b;
+  auto pusher = a.engine.advertise<Note>("/notes");
+  auto puller = b.engine.subscribe<Note>("/notes");
+  Gateway out(a.where, {"--out", "/notes"});
+  Gateway in(b.where, {"--in", "/notes"});
+  wait_until_carried(pusher, puller);
+  CHECK(out.look()["out /notes"].carried != 0);
+  for (int i = 0; i < 3; ++i) {  // it goes on, for some of its turns
+    wait_until_carried(pusher, puller);
+    std::this_thread::sleep_for(100ms);
+  }
+  CHECK(out.tables() == 1);
+  (void)out.end();
+  CHECK(out.tables() == 2);
+  const File mistaken("out: 5");
+  Gateway wrong(a.where, {"--config", mistaken.path});
+  CHECK(wrong.ends() != 0);
+  CHECK(wrong.said().starts_with("lot_gateway: " + mistaken.path));
 }
 
 TEST_CASE("a gateway encodes no message that no reader wants, unless its topic is latched") {

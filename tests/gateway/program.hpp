@@ -78,6 +78,13 @@ class Gateway {
     eventually([&] { return !lines().empty(); });
     return lines();
   }
+  /// How many tables it has printed, since look() last.
+  std::size_t tables() const {
+    const std::string all = text_of(out_);
+    std::size_t n = 0;
+    for (std::size_t at = 0; (at = all.find("carried", at)) != std::string::npos; ++at) ++n;
+    return n;
+  }
   void send(int signal) const { child_.send(signal); }
   void kill9() { child_.kill9(); }
   int exit() const { return exit_; }
