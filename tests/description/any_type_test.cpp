@@ -15,6 +15,7 @@
 
 #include "lot/lot.hpp"
 
+#include "segment/layout.hpp"
 #include "support/error_of.hpp"
 #include "support/must_go.hpp"
 #include "support/processes.hpp"
@@ -193,6 +194,11 @@ TEST_CASE("other names, another order or another type make another type") {
   // Fields without names meet any names.
   CHECK(AnyType::structure("robot::Point", {{"", real(4)}, {"", real(4)}}).is_same(compiled));
   CHECK_FALSE(AnyType::structure("robot::Point", {{"", real(4)}}).is_same(compiled));
+  // A segment has room for so much of a name.
+  const std::string long_name(lot::segment::kTypeNameBytes - 1, 'x');
+  const AnyType cut = AnyType::structure(long_name, {{"x", real(4)}});
+  CHECK(AnyType::structure(long_name + "y", {{"x", real(4)}}).is_same(cut));
+  CHECK_FALSE(AnyType::structure(long_name.substr(1), {{"x", real(4)}}).is_same(cut));
   CHECK_FALSE(compiled.is_same(AnyType()));
   CHECK_FALSE(AnyType().is_same(compiled));
   CHECK(AnyType().is_same(AnyType()));

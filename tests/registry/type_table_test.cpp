@@ -141,6 +141,12 @@ Made large(const std::string& names) { return made(300, std::string(8, 'x') + na
 
 TEST_SUITE_BEGIN("registry");
 
+TEST_CASE("programs agree on the check of a description: it is FNV-1a") {
+  Table table;
+  CHECK(lot::segment::description_check(table.place("a", {})) == 0xe40c292c);
+  CHECK(lot::segment::description_check(table.place("foobar", {})) == 0xbf9cf968);
+}
+
 TEST_CASE("topics whose descriptions have equal bytes share them") {
   Table table;
   const Made one = made(3, "a"), other = made(3, "b");

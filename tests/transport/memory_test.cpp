@@ -125,6 +125,25 @@ TEST_CASE("a latched message stays while another topic of its process runs out o
   CHECK(got->id == 7);
 }
 
+TEST_CASE("under its own limit a publisher gives its own messages up, and no other one's") {
+  const Watchdog watchdog(60);
+  Place place(64 * kMiB);
+  lot::PusherOptions limited;
+  limited.depth = 8;
+  limited.max_bytes = 4 * kMiB;
+  auto first = place.engine.advertise<Frame>("first");
+  auto second = place.engine.advertise<Frame>("second", limited);
+  auto third = place.engine.advertise<Frame>("third");
+  push_frames(first, 4, kMiB);
+  push_frames(third, 4, kMiB);
+  push_frames(second, 10, kMiB);
+  CHECK(place.engine.subscribe<Frame>("first", latched(8)).size() == 4);
+  CHECK(place.engine.subscribe<Frame>("third", latched(8)).size() == 4);
+  const std::size_t kept = place.engine.subscribe<Frame>("second", latched(8)).size();
+  CHECK(kept >= 1);
+  CHECK(kept <= 4);
+}
+
 TEST_CASE("a request that can never be met throws OutOfMemory and gives no message up") {
   const Watchdog watchdog(60);
   Place place(32 * kMiB);
