@@ -189,6 +189,7 @@ class WaitSetCore {
 
   /// Finds out which entries to look at.
   void gather(Clock::time_point now) {
+    round_began_ = now;
     for (SetEar& s : ears_) {
       const bool hears = s.ear->take(
           [this](waiting::Ear::Client& client) { is_due(static_cast<Entry&>(client)); });
@@ -252,9 +253,11 @@ class WaitSetCore {
     waits_.hear_by(e.ear);
     return e.waitable->arm(waits_);
   }
-  /// It is armed by its ear until `again`.
+  /// It is armed by its ear until `again`. A look at all finds those that are ready by then. One
+  /// that must be looked at sooner is not ready before its time, so that such a look may pass it
+  /// over.
   void rest(Entry& e, Clock::time_point again) {
-    if (again >= all_again_) return;        // the look at all comes first
+    if (again >= round_began_ + kLookAtAll) return;
     if (!e.again) restless_.push_back(&e);  // add() has made room
     e.again = again;
   }
@@ -298,6 +301,7 @@ class WaitSetCore {
   bool uses_ears_ = false;         ///< it has more words than few
   bool finds_ears_ = false;        ///< in this round it asks for ears where it has none
   Clock::time_point all_again_{};  ///< when to look at all entries
+  Clock::time_point round_began_{};
   std::list<Timer> timers_;
   std::uint64_t last_timer_ = 0;
   FutexWaits waits_;

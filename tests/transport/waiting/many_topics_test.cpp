@@ -18,8 +18,10 @@
 
 #include <lot/lot.hpp>
 
+#include "registry/registry.hpp"
 #include "support/both_engines.hpp"
 #include "support/must_go.hpp"
+#include "transport/participant.hpp"
 
 namespace {
 
@@ -397,6 +399,45 @@ TEST_CASE_FIXTURE(Fixture, "a set that finds no free ear sleeps on all its queue
   while (Ears(shm.path()).claimed == 0) set.run_once(10ms);  // it asks again
   publish(out[0], 1);
   while (calls == kTopics) set.run_once(20s);
+  for (auto& puller : in) set.remove(*puller);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a set finds new rings when another process lets go of the registry") {
+  Steps go;
+  Steps told;
+  Child other([&] {
+    alarm(100);
+    must(go.next(100s) != 0, "it may begin");
+    const auto participant = lot::transport::Participant::join(options);
+    {
+      const lot::registry::Registry::Lock lock(participant->registry());
+      told.tell();
+      must(go.next(100s) != 0, "it may let go");
+    }
+    told.tell();
+    pause();
+  });
+  lot::ShmEngine shm(options);
+  auto in = pullers(shm);
+  WaitSet set;
+  std::size_t got = 0;
+  for (std::size_t t = 0; t < kTopics; ++t) {
+    set.add(*in[t], [&, t] {
+      while (in[t]->try_pull()) ++got;
+    });
+  }
+  while (Ears(shm.path()).claimed == 0) set.run_once(10ms);
+  auto out = pushers(shm, {Policy::Overwrite, 4});
+  for (auto& pusher : out) publish(pusher, 1);
+  go.tell();
+  REQUIRE(told.next(50s) == '.');
+  // All look for it, again and again, and longer than it is from one look at all to the next.
+  const auto until = std::chrono::steady_clock::now() + 2500ms;
+  while (std::chrono::steady_clock::now() < until) set.run_once(100ms);
+  CHECK(got == 0);
+  go.tell();
+  REQUIRE(told.next(50s) == '.');
+  while (got < kTopics) REQUIRE(set.run_once(20s) != 0);
   for (auto& puller : in) set.remove(*puller);
 }
 
