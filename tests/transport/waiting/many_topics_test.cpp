@@ -415,7 +415,7 @@ TEST_CASE_FIXTURE(Fixture, "a set finds new rings when another process lets go o
       must(go.next(100s) != 0, "it may let go");
     }
     told.tell();
-    pause();
+    must(go.next(100s) != 0, "it may leave, which wakes who looks for a ring");
   });
   lot::ShmEngine shm(options);
   auto in = pullers(shm);
@@ -439,6 +439,8 @@ TEST_CASE_FIXTURE(Fixture, "a set finds new rings when another process lets go o
   REQUIRE(told.next(50s) == '.');
   while (got < kTopics) REQUIRE(set.run_once(20s) != 0);
   for (auto& puller : in) set.remove(*puller);
+  go.tell();
+  CHECK(other.wait() == 0);
 }
 
 TEST_CASE_FIXTURE(Fixture, "a forked child takes no news from its parent's set and descriptors") {
