@@ -305,7 +305,7 @@ struct Ring {
   /// True when a reader that has not looked yet gets a message here, or must count one as missed.
   bool has_news() const {
     if (depth == 0) return false;  // a process that was killed in recycling leaves a ring like this
-    // Relaxed: as below.
+    // Relaxed: the lock for ended rings, as below.
     if (!taken) return was_used(0, slots[0].load(std::memory_order_relaxed));
     for (std::uint32_t i = 0; i < places(); ++i) {
       // Relaxed: the lock for ended rings carries what was written or taken under it.

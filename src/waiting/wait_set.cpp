@@ -298,10 +298,10 @@ class WaitSetCore {
   std::vector<Entry*> due_;
   std::vector<Entry*> restless_;  ///< armed by ears, and due before all are
   bool has_removed_ = false;
-  bool uses_ears_ = false;         ///< it has more words than few
-  bool finds_ears_ = false;        ///< in this round it asks for ears where it has none
-  Clock::time_point all_again_{};  ///< when to look at all entries
-  Clock::time_point round_began_{};
+  bool uses_ears_ = false;           ///< it has more words than few
+  bool finds_ears_ = false;          ///< in this round it asks for ears where it has none
+  Clock::time_point all_again_{};    ///< when to look at all entries
+  Clock::time_point round_began_{};  ///< when it last found out which entries to look at
   std::list<Timer> timers_;
   std::uint64_t last_timer_ = 0;
   FutexWaits waits_;
