@@ -44,7 +44,8 @@ class Neighbour {
     must(ready_.next() == '.', "the neighbour has joined");
   }
 
-  /// Leaves; how often it has reaped somebody, -1 when it failed.
+  /// Leaves; how often its own calls have reaped somebody, -1 when it failed. Its warden reaps,
+  /// too, and is not counted.
   int leave() {
     done_.tell();
     const char reaps = reaps_.next();

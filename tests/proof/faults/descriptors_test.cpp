@@ -598,18 +598,22 @@ TEST_CASE("a neighbour reaps the dead, and the spy sees a lock on a file that is
   const Ground options;
   {
     Neighbour neighbour(options);
-    Steps ready;
-    Child victim([&] {
-      const lot::ShmEngine engine(named(options, "victim"));
-      ready.tell();
-      pause();
-    });
-    REQUIRE(ready.next() == '.');
     lot::segment::Segment s(file_of(options));
-    REQUIRE(index_of(s, "victim") != 0);
-    victim.kill9();
-    CHECK(eventually([&] { return index_of(s, "victim") == 0; }));
-    CHECK(neighbour.leave() == 1);
+    for (int n = 0; n < 20;
+         ++n) {  // its warden may be faster with some of them, and does not count
+      CAPTURE(n);
+      Steps ready;
+      Child victim([&] {
+        const lot::ShmEngine engine(named(options, "victim"));
+        ready.tell();
+        pause();
+      });
+      REQUIRE(ready.next() == '.');
+      REQUIRE(index_of(s, "victim") != 0);
+      victim.kill9();
+      CHECK(eventually([&] { return index_of(s, "victim") == 0; }));
+    }
+    CHECK(neighbour.leave() >= 1);
   }
   CHECK(files_of(options) == 0);
 
