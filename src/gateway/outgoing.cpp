@@ -14,6 +14,7 @@
 #include "gateway/names.hpp"
 #include "gateway/peer.hpp"
 #include "gateway/quality.hpp"
+#include "gateway/ros_types.hpp"
 #include "gateway/thread.hpp"
 #include "transport/ring_ends.hpp"
 
@@ -82,6 +83,12 @@ OutgoingRoute::OutgoingRoute(ShmEngine& engine, const Domain& domain, std::strin
   const Qos qos = qos_of(settings_.quality, user_data_of(peer));
   writer_ = Entity(dds_create_writer(domain.participant(), cdr_.get(), qos.get(), nullptr),
                    dds_topic_, "make a writer");
+  if (!is_as_in_ros(dds_type_of(stream_.schema.name), stream_.schema.msg)) {
+    const std::string text = topic_ + ": its type is called " + stream_.schema.name +
+                             " and has other fields than that message of ROS 2: a node reads "
+                             "nonsense, or nothing. Give the type another name";
+    tally_.went_wrong(text.c_str());
+  }
   thread_ = begin_thread("lot-out", topic_, [this] { run(); });
 }
 

@@ -2,10 +2,12 @@
 #include "gateway/ros_types.hpp"
 
 #include <algorithm>
+#include <cctype>
 #include <cstddef>
 #include <cstdint>
 #include <iterator>
 #include <memory>
+#include <regex>
 #include <utility>
 
 #include "lot/description.hpp"
@@ -203,6 +205,16 @@ std::string name_in_cpp(const std::string& name) {
   return slash == name.npos ? name : std::string(name).replace(slash, 1, "::");
 }
 
+/// The fields of a `.msg` as far as its bytes say them. ROS 1 writes "K" where ROS 2 writes "k",
+/// and has a number of one byte where ROS 2 has a bool or a byte.
+std::string bytes_of(const std::string& name, const std::string& msg) {
+  std::string fields = record::read_schema(name, msg).fields;
+  std::ranges::transform(fields, fields.begin(),
+                         [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  static const std::regex kOneByte("([:\\]])(bool|int8)(?=[,}])");
+  return std::regex_replace(fields, kOneByte, "$1uint8");
+}
+
 }  // namespace
 
 bool is_ros_type(const std::string& dds_type) { return find(dds_type) != nullptr; }
@@ -215,6 +227,12 @@ AnyType type_of_ros(const std::string& dds_type) {
   constexpr std::uint64_t kNoIdentity = 0;
   return AnyType(std::make_shared<const registry::KnownType>(
       name_in_cpp(found->name), made.align, kNoIdentity, std::move(made.description)));
+}
+
+bool is_as_in_ros(const std::string& dds_type, const std::string& msg) {
+  const Definition* const found = find(dds_type);
+  return found == nullptr ||
+         bytes_of(found->name, msg) == bytes_of(found->name, schema_with_all(*found));
 }
 
 }  // namespace lot::gateway

@@ -16,6 +16,14 @@
 #include "gateway/program.hpp"
 #include "support/processes.hpp"
 
+namespace geometry_msgs {
+
+struct Point {
+  float x, y;
+};
+
+}  // namespace geometry_msgs
+
 namespace lot::testing {
 namespace {
 
@@ -438,6 +446,16 @@ TEST_CASE("a topic that is of another type there is not carried, and the gateway
   REQUIRE(in.says("lot_testing_anonymous_namespace::msg::dds_::Note_"));
   push_note(pusher, 1);
   CHECK(in.end()["in /notes"].carried == 0);
+}
+
+TEST_CASE("a type that ROS 2 has under its name, with other fields, goes out with a word") {
+  const Watchdog watchdog(60);
+  Host a;
+  auto pusher = a.engine.advertise<geometry_msgs::Point>("/points");
+  Gateway out(a.where, {"--out", "/points"});
+  REQUIRE(
+      out.says("called geometry_msgs/msg/Point and has other fields than that message of ROS 2"));
+  CHECK(out.end().count("out /points") == 1);
 }
 
 TEST_CASE("SIGHUP reads the file again: topics come and go while it runs") {

@@ -150,6 +150,31 @@ TEST_CASE("what is no common message of ROS 2 has no type") {
   }
 }
 
+TEST_CASE("a message that is called as one of ROS 2 and has other fields is found") {
+  const auto is_twist = [](const std::string& msg) {
+    return is_as_in_ros(dds_type_of("geometry_msgs/msg/Twist"), msg);
+  };
+  const std::string vector = "===\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n";
+  CHECK(is_twist("Vector3 linear\nVector3 angular\n" + vector));
+  CHECK(is_twist("Vector3 LINEAR\nVector3 angular\n" + vector));
+  CHECK_FALSE(is_twist("Vector3 angular\nVector3 linear\n" + vector));
+  CHECK_FALSE(is_twist("Vector3 linear\n" + vector));
+  CHECK_FALSE(is_twist("Vector3 linear\nVector3 angular\nbool valid\n" + vector));
+  CHECK_FALSE(is_twist("float64 linear\nfloat64 angular\n"));
+  CHECK_FALSE(
+      is_twist("Vector3 linear\nVector3 angular\n===\nMSG: geometry_msgs/Vector3\n"
+               "float32 x\nfloat64 y\nfloat64 z\n"));
+
+  // ROS 1 says so of a bool and of bytes.
+  CHECK(is_as_in_ros(dds_type_of("std_msgs/msg/Bool"), "uint8 data\n"));
+  CHECK(is_as_in_ros(dds_type_of("std_msgs/msg/Byte"), "int8 data\n"));
+  CHECK_FALSE(is_as_in_ros(dds_type_of("std_msgs/msg/Bool"), "int16 data\n"));
+  CHECK_FALSE(is_as_in_ros(dds_type_of("std_msgs/msg/UInt16"), "int16 data\n"));
+  // Whose fields nobody knows.
+  CHECK(is_as_in_ros(dds_type_of("robot/msg/Twist"), "float64 data\n"));
+  CHECK(is_as_in_ros(dds_type_of("sensor_msgs/msg/Range"), "float64 data\n"));
+}
+
 TEST_SUITE_END();
 
 }  // namespace
