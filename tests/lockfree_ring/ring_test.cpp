@@ -311,6 +311,35 @@ TEST_CASE("slots and claims that lead round and round the sequences end a look f
   CHECK(reader.poll_unclaimed(missed) == lot::ring::kDamaged);
 }
 
+TEST_CASE("what a dead worker claimed comes back, and readers are told though it claimed nothing") {
+  Channel channel(4, Policy::Overwrite);
+  std::vector<std::atomic<Word>> claims(4);
+  std::atomic<std::uint32_t> returned{0};
+  channel.ring.claims = claims.data();
+  channel.ring.returned = &returned;
+  channel.ring.taken = true;
+  constexpr std::uint32_t kStranger = kParticipant + 1;
+  const auto back_from = [&](std::uint32_t participant) {
+    const bool reads = channel.ring.take_claims_back(participant);
+    return std::pair(reads, returned.load());
+  };
+  using Told = std::pair<bool, std::uint32_t>;
+  CHECK(back_from(kParticipant) == Told(false, 0));  // it does not read here
+  Reader reader = channel.join();
+  CHECK(back_from(kStranger) == Told(false, 0));
+  CHECK(back_from(kParticipant) == Told(true, 1));  // it reads, and has claimed nothing
+
+  channel.writer = lot::ring::Writer<HardwareAtomics>(channel.ring);
+  channel.publish(0, 2);
+  std::uint64_t missed = 0;
+  REQUIRE(reader.poll_unclaimed(missed) == 0);
+  REQUIRE(reader.claim(kStranger) != 0);  // without a cell: it left after it had claimed
+  CHECK(reader.poll_unclaimed(missed) == 1);
+  CHECK(back_from(kStranger) == Told(true, 2));
+  CHECK(back_from(kStranger) == Told(false, 2));
+  CHECK(reader.poll_unclaimed(missed) == 0);
+}
+
 TEST_CASE("publish hands back the block that it replaced") {
   for (const std::uint32_t depth : {1U, 3U}) {
     Channel channel(depth, Policy::Overwrite);
