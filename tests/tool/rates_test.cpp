@@ -3,6 +3,7 @@
 // What `lot ls` and `lot top` say of a rate, from moments that the test makes up.
 
 #include <cstdint>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -29,6 +30,14 @@ Arrivals even(double first, double period, double until) {
   Arrivals all;
   for (int n = 0; first + n * period < until; ++n) all.push_back({first + n * period, 1});
   return all;
+}
+
+void check(const Rate& seen, std::optional<double> per_second, std::optional<double> below,
+           std::uint64_t messages, double seconds) {
+  CHECK(seen.per_second == per_second);
+  CHECK(seen.below == below);
+  CHECK(seen.messages == messages);
+  CHECK(seen.seconds == seconds);
 }
 
 }  // namespace
@@ -195,6 +204,67 @@ TEST_CASE("of bursts lot top tells the mean, once it has seen some seconds of th
   for (const double at : {0.5, 0.75, 3.0}) just.see(at, 2);
   REQUIRE(just.rate(3).per_second);
   CHECK(*just.rate(3).per_second == doctest::Approx(4 / Pace::kSpan * 2));
+  CHECK(!just.rate(3).below);
+}
+
+TEST_CASE("what lot tells of a queue, at each bound of Tempo") {
+  Tempo tempo(8);
+  tempo.see(8.5, 2);
+  tempo.see(9, 1);
+  check(tempo.rate(9.5), {}, 4 / 1.5, 3, 1.5);  // one has followed
+  tempo.see(9.5, 1);
+  tempo.see(9.75, 0);  // which finds nothing, and says nothing
+  check(tempo.rate(10), 2., {}, 4, 2);
+  check(tempo.rate(11), 2., {}, 4, 3);  // silent for three periods
+  check(tempo.rate(11.0625), {}, 5 / 3.0625, 4, 3.0625);
+
+  Tempo fast(0);
+  for (int n = 0; n <= 64; ++n) fast.see(n / 8., 1);
+  check(fast.rate(10), 8., {}, 65, 10);  // silent for a fifth of the time
+  check(fast.rate(10.25), {}, 66 / 10.25, 65, 10.25);
+
+  Tempo at_once(1);
+  at_once.see(1, 3);
+  check(at_once.rate(1), {}, {}, 3, 0);
+  at_once.see(1, 2);
+  check(at_once.rate(2), {}, 6., 5, 1);
+  CHECK(!at_once.mean());
+}
+
+TEST_CASE("what lot top tells of a queue, at each bound of Pace") {
+  const auto pace_of = [](const std::vector<double>& arrivals) {
+    Pace pace(0);
+    for (const double at : arrivals) pace.see(at, 1);
+    return pace;
+  };
+  const Pace five_seconds = pace_of({1, 2, 3, 4, 6});
+  check(five_seconds.rate(6), 4 / 5., {}, 5, 6);
+  check(pace_of({1, 2, 3, 4, 6, 7}).rate(7), 4 / 5., {}, 5, 6);  // since the first one
+  check(pace_of({10, 20, 30, 40}).rate(40), 0.1, {}, 4, 40);
+  check(pace_of({10, 20, 30, 40, 50}).rate(50), 0.1, {}, 4, 40);
+
+  const Pace rhythm = pace_of({1, 2, 3});
+  check(rhythm.rate(6), 1., {}, 3, 6);  // three times as long as its pauses
+  check(rhythm.rate(6.5), {}, 1 / 3.5, 0, 3.5);
+  check(pace_of({1, 2}).rate(9), {}, 3 / 9., 2, 9);  // too few for a rhythm
+  const Pace quick = pace_of({0.125, 0.25, 0.375, 0.5});
+  CHECK(quick.rate(1.5).messages == 4);
+  check(quick.rate(1.75), {}, 1 / 1.25, 0, 1.25);
+  CHECK(pace_of({1, 5, 5.5, 6}).rate(12).messages == 4);  // the longest pause is the first
+
+  Pace halted = rhythm;
+  halted.see(20, 0);
+  halted.see(20.5, 5);  // may have piled up: counts as one
+  halted.see(21, 1);
+  halted.see(21.5, 1);
+  check(halted.rate(22), 2., {}, 3, 1.5);
+
+  check(pace_of({0.5, 0.75, 3.5}).rate(3.5), 2 / 3., {}, 3, 3.5);  // uneven, for 3 s
+  check(pace_of({101.5, 101.75, 103.75}).rate(103.75), {}, 4 / 103.75, 3, 103.75);
+  check(pace_of({0.5, 3.5}).rate(3.5), {}, 3 / 3.5, 2, 3.5);  // two have no mean
+  check(pace_of({0.25}).rate(0.25), {}, {}, 1, 0.25);
+  check(pace_of({0.25}).rate(0.3), {}, 2 / 0.3, 1, 0.3);
+  check(pace_of({0.25}).rate(0.5), {}, 4., 1, 0.5);
 }
 
 TEST_CASE("where lot has not looked, nothing is known") {
