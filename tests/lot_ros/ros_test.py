@@ -1050,10 +1050,10 @@ class Settings(Case):
                     self.assertIsNone(clock.poll())
 
     def test_the_queue_the_segment_and_its_size(self):
-        for queue in 'mutex', 'ring':
-            with self.subTest(queue), Graph() as graph:
+        for queue, first in ('mutex', '0.0625G'), ('ring', 64 << 20), ('mutex', '65536K'), ('ring', '64M'):
+            with self.subTest(queue=queue, first=first), Graph() as graph:
                 graph.env.pop('LOT_SEGMENT')
-                for node, size in ('listener', '64M'), ('talker', '128M'):  # who comes first makes it
+                for node, size in ('listener', first), ('talker', '128M'):  # who comes first makes it
                     graph.set_parameter(f'/{node}/lot/segment', graph.segment + '_own')
                     graph.set_parameter(f'/{node}/lot/size', size)
                 graph.set_parameter('/talker/lot/queue', queue)
