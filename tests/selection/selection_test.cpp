@@ -314,6 +314,82 @@ TEST_CASE("an expected reader that comes late gets what was kept for it, once it
   CHECK_FALSE(f.pusher->expects("reader"));
 }
 
+TEST_CASE("what is known of two publishers, and of one that has gone, is each its own") {
+  Fixture f;
+  Member second(f.options, "second", "/./.");
+  auto other = lot::detail::make_selecting_pusher(second.participant, "/t", f.type,
+                                                  {lot::Policy::Overwrite, 4});
+  const auto puller = f.puller(f.reader);
+  CHECK(puller->core().size() == 0);
+  const auto of_writer = f.pusher->select("reader", 0);
+  const auto of_other = other->select("reader", 0);
+  REQUIRE((of_writer && of_other));
+  f.push(0);
+  const auto first = pull(*puller);
+  f.push(other->core(), 10);
+  f.push(other->core(), 11);
+  const auto tenth = pull(*puller);
+  const auto eleventh = pull(*puller);
+  REQUIRE((first && tenth && eleventh));
+  REQUIRE(eleventh->number == 11);
+  CHECK(puller->publisher(first->origin) == "writer");
+  CHECK(puller->publisher(tenth->origin) == "second");
+  CHECK(puller->depth(first->origin) == 8);
+  CHECK(puller->depth(tenth->origin) == 4);
+  const auto rings = puller->rings_of("second");
+  REQUIRE(rings.size() == 1);
+  CHECK(rings[0].channel == tenth->origin.channel);
+  CHECK(rings[0].generation == tenth->origin.generation);
+  CHECK(rings[0].sequence == 0);
+  CHECK(puller->rings_of("reader").empty());
+
+  f.push(other->core(), 12);
+  other->deselect(*of_other, 2);  // 11 and 12 go another way as well
+  other.reset();
+  CHECK(ours(*puller).empty());  // 12, and then the ring has ended
+  CHECK_FALSE(puller->has_publisher("second"));
+  CHECK(puller->publisher(tenth->origin) == "second");
+  CHECK(puller->depth(tenth->origin) == 0);
+  CHECK(puller->is_ours(tenth->origin) == std::optional(true));
+  CHECK(puller->resent("writer") == 0);
+  CHECK(puller->resent("second") == 1);
+  CHECK(puller->resent("second") == 0);
+
+  CHECK(puller->publisher(first->origin) == "writer");
+  CHECK(puller->is_ours(first->origin) == std::optional(true));
+  lot::detail::Origin nobody = first->origin;
+  ++nobody.generation;
+  CHECK(puller->publisher(nobody).empty());
+  CHECK(puller->depth(nobody) == 0);
+  CHECK(puller->is_ours(nobody) == std::optional(false));
+}
+
+TEST_CASE("of rings that have ended a reader knows the last 64") {
+  Fixture f;
+  Member second(f.options, "second", "/./.");
+  const auto puller = f.puller(f.reader);
+  std::vector<lot::detail::Origin> origins;
+  for (std::uint64_t n = 0; n < 65; ++n) {
+    auto other = lot::detail::make_selecting_pusher(second.participant, "/t", f.type,
+                                                    {lot::Policy::Overwrite, 1});
+    CHECK(puller->core().size() == 0);
+    REQUIRE(other->select("reader", 0));
+    f.push(other->core(), n);
+    other.reset();
+    const auto got = pull(*puller);
+    REQUIRE(got);
+    origins.push_back(got->origin);
+    CHECK_FALSE(pull(*puller));
+  }
+  CHECK(puller->publisher(origins[0]).empty());
+  CHECK(puller->is_ours(origins[0]) == std::optional(false));
+  for (std::size_t n = 1; n < origins.size(); ++n) {
+    CAPTURE(n);
+    CHECK(puller->publisher(origins[n]) == "second");
+    CHECK(puller->is_ours(origins[n]) == std::optional(true));
+  }
+}
+
 TEST_CASE("a publisher is there until its ring is read") {
   Fixture f;
   const auto puller = f.puller(f.reader);
