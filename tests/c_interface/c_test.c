@@ -11,6 +11,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -543,23 +544,179 @@ static void each_thread_has_its_own_last_error(void) {
   CHECK(strstr(lot_error_text(), "7 bytes") != NULL);
 }
 
-static void a_missing_argument_is_named(void) {
-  lot_engine* engine = NULL;
-  lot_message* message = NULL;
+/* The call refuses an argument, and names it. */
+#define REFUSES(argument, call) \
+  CHECK((call) == -EINVAL && strcmp(lot_error_object(), (argument)) == 0)
+
+static void a_missing_argument_of_a_type_is_named(void) {
+  lot_type* const byte = number(LOT_KIND_UINT, 1);
+  lot_type* none = NULL;
+  lot_kind kind = LOT_KIND_OPAQUE;
+  lot_view bytes = {NULL, 0};
+  uint64_t hash = 0;
+  size_t count = 0;
+  bool is_same = false;
+  const lot_field nameless = {"a", NULL};
+  REFUSES("type", lot_type_number(LOT_KIND_UINT, 1, NULL));
+  REFUSES("type", lot_type_string(NULL));
+  REFUSES("element", lot_type_vector(NULL, &none));
+  REFUSES("type", lot_type_vector(byte, NULL));
+  REFUSES("element", lot_type_array(NULL, 3, &none));
+  REFUSES("target", lot_type_reference(NULL, &none));
+  REFUSES("name", lot_type_enum(NULL, byte, &none));
+  REFUSES("number", lot_type_enum("e", NULL, &none));
+  REFUSES("number", lot_type_duration(NULL, 1, 1, &none));
+  REFUSES("clock", lot_type_time_point(NULL, byte, &none));
+  REFUSES("duration", lot_type_time_point("steady_clock", NULL, &none));
+  REFUSES("fields", lot_type_struct("s", NULL, 1, &none));
+  REFUSES("fields", lot_type_struct("s", &nameless, 1, &none));
+  REFUSES("name", lot_type_struct(NULL, NULL, 0, &none));
+  REFUSES("name", lot_type_opaque(NULL, 8, 8, &none));
+  REFUSES("bytes", lot_type_decode("s", 8, bytes, 0, &none));
+  CHECK(lot_type_encode(byte, &bytes) == LOT_OK);
+  REFUSES("name", lot_type_decode(NULL, 8, bytes, 0, &none));
+  REFUSES("engine", lot_type_of_topic(NULL, "/topic", &none));
+  REFUSES("type", lot_type_copy(NULL, &none));
+  REFUSES("type", lot_type_copy(byte, NULL));
+  REFUSES("a", lot_type_is_same(NULL, byte, &is_same));
+  REFUSES("b", lot_type_is_same(byte, NULL, &is_same));
+  REFUSES("is_same", lot_type_is_same(byte, byte, NULL));
+  REFUSES("type", lot_type_kind(NULL, &kind));
+  REFUSES("kind", lot_type_kind(byte, NULL));
+  REFUSES("type", lot_type_hashes(NULL, &hash, &hash));
+  REFUSES("layout", lot_type_hashes(byte, NULL, &hash));
+  REFUSES("names", lot_type_hashes(byte, &hash, NULL));
+  REFUSES("type", lot_type_count(NULL, &count));
+  REFUSES("count", lot_type_count(byte, NULL));
+  REFUSES("whole", lot_type_field(NULL, 0, NULL, NULL, NULL));
+  REFUSES("type", lot_type_element(NULL, &none));
+  REFUSES("type", lot_type_element(byte, NULL));
+  REFUSES("type", lot_type_encode(NULL, &bytes));
+  REFUSES("bytes", lot_type_encode(byte, NULL));
+  CHECK(none == NULL && kind == LOT_KIND_OPAQUE && hash == 0 && count == 0);
+  lot_type_release(byte);
+}
+
+static void a_missing_argument_of_a_publisher_is_named(void) {
+  struct ends ends = ends_of(box_type(), NULL);
   lot_loan* loan = NULL;
-  CHECK(lot_engine_open(NULL, NULL) == -EINVAL && strcmp(lot_error_object(), "engine") == 0);
-  CHECK(lot_borrow(NULL, LOT_NOW, NULL, &message) == -EINVAL);
-  CHECK(strcmp(lot_error_object(), "subscriber") == 0);
-  CHECK(lot_publisher_loan(NULL, &loan) == -EINVAL);
-  CHECK(lot_set_uint64(NULL, "x", 1) == -EINVAL);
-  CHECK(lot_subscribe(NULL, "/topic", NULL, NULL, NULL) == -EINVAL);
-  CHECK(lot_stop_new(NULL) == -EINVAL);
+  lot_loan* no_loan = NULL;
+  lot_publisher* out = NULL;
+  size_t count = 77;
+  void* data = NULL;
+  const lot_view nothing = {NULL, 1};
+  REFUSES("engine", lot_advertise(NULL, "/topic", ends.type, NULL, &out));
+  REFUSES("topic", lot_advertise(ends.engine, NULL, ends.type, NULL, &out));
+  REFUSES("type", lot_advertise(ends.engine, "/topic", NULL, NULL, &out));
+  REFUSES("publisher", lot_advertise(ends.engine, "/topic", ends.type, NULL, NULL));
+  REFUSES("publisher", lot_publisher_loan(NULL, &loan));
+  REFUSES("loan", lot_publisher_loan(ends.out, NULL));
+  REFUSES("loan", lot_publisher_push(ends.out, NULL, NULL));
+  REFUSES("*loan", lot_publisher_push(ends.out, &no_loan, NULL));
+  REFUSES("publisher", lot_publisher_forward(NULL, NULL, NULL));
+  REFUSES("message", lot_publisher_forward(ends.out, NULL, NULL));
+  REFUSES("publisher", lot_publisher_readers(NULL, &count));
+  REFUSES("count", lot_publisher_readers(ends.out, NULL));
+  REFUSES("publisher", lot_publisher_wait_for_readers(NULL, 1, LOT_NOW, NULL));
+  REFUSES("publisher", lot_publisher_reserve(NULL, 1, 1));
+  CHECK(lot_publisher_loan(ends.out, &loan) == LOT_OK);
+  REFUSES("publisher", lot_publisher_push(NULL, &loan, NULL));
+  REFUSES("loan", lot_set_int64(NULL, "label", 1));
+  REFUSES("path", lot_set_int64(loan, NULL, 1));
+  REFUSES("loan", lot_set_uint64(NULL, "label", 1));
+  REFUSES("loan", lot_set_double(NULL, "label", 1));
+  REFUSES("text", lot_set_text(loan, "label", NULL, 1));
+  REFUSES("loan", lot_resize(NULL, "scores", 1));
+  REFUSES("bytes", lot_set_bytes(loan, "scores", nothing));
+  REFUSES("data", lot_loan_bytes(loan, "scores", NULL, &count));
+  REFUSES("size", lot_loan_bytes(loan, "scores", &data, NULL));
+  CHECK(out == NULL && data == NULL && count == 77 && loan != NULL);
+  CHECK(lot_set_text(loan, "label", NULL, 0) == LOT_OK); /* nothing lies anywhere */
+  CHECK(lot_set_bytes(loan, "scores", (lot_view){NULL, 0}) == LOT_OK);
+  lot_loan_release(loan);
+  close_ends(&ends);
+}
+
+static void a_missing_argument_of_a_subscriber_is_named(void) {
+  struct ends ends = ends_of(box_type(), NULL);
+  lot_engine* engine = NULL;
+  lot_subscriber* in = NULL;
+  lot_message* none = NULL;
+  lot_loan* loan = NULL;
+  lot_envelope envelope;
+  lot_kind kind = LOT_KIND_OPAQUE;
+  lot_view view = {NULL, 0};
+  size_t count = 77;
+  int64_t whole = 0;
+  uint64_t natural = 0;
+  double real = 0;
+  int fd = -1;
+  char text[1];
+  REFUSES("engine", lot_engine_open(NULL, NULL));
+  REFUSES("stop", lot_stop_new(NULL));
+  REFUSES("stop", lot_stop_on_signals(NULL));
+  REFUSES("engine", lot_subscribe(NULL, "/topic", NULL, NULL, &in));
+  REFUSES("topic", lot_subscribe(ends.engine, NULL, NULL, NULL, &in));
+  REFUSES("subscriber", lot_subscribe(ends.engine, "/topic", NULL, NULL, NULL));
+  REFUSES("topic", lot_type_of_topic(ends.engine, NULL, &ends.type));
+  REFUSES("subscriber", lot_borrow(NULL, LOT_NOW, NULL, &none));
+  REFUSES("message", lot_borrow(ends.in, LOT_NOW, NULL, NULL));
+  REFUSES("subscriber", lot_pull(NULL, LOT_NOW, NULL, &none));
+  REFUSES("subscriber", lot_subscriber_envelope(NULL, &envelope));
+  REFUSES("envelope", lot_subscriber_envelope(ends.in, NULL));
+  REFUSES("subscriber", lot_subscriber_publishers(NULL, &count));
+  REFUSES("count", lot_subscriber_publishers(ends.in, NULL));
+  REFUSES("subscriber", lot_subscriber_size(NULL, &count));
+  REFUSES("count", lot_subscriber_size(ends.in, NULL));
+  REFUSES("subscriber", lot_subscriber_fd(NULL, &fd));
+  REFUSES("fd", lot_subscriber_fd(ends.in, NULL));
+
+  CHECK(lot_publisher_loan(ends.out, &loan) == LOT_OK);
+  const lot_message* const message = lot_loan_message(loan);
+  REFUSES("message", lot_message_keep(NULL, &none));
+  REFUSES("kept", lot_message_keep(message, NULL));
+  REFUSES("message", lot_get_kind(NULL, "", &kind));
+  REFUSES("result", lot_get_kind(message, "", NULL));
+  REFUSES("path", lot_get_kind(message, NULL, &kind));
+  REFUSES("message", lot_get_count(NULL, "", &count));
+  REFUSES("message", lot_get_int64(NULL, "", &whole));
+  REFUSES("message", lot_get_uint64(NULL, "", &natural));
+  REFUSES("message", lot_get_double(NULL, "", &real));
+  REFUSES("message", lot_get_text(NULL, "", &view));
+  REFUSES("message", lot_get_bytes(NULL, "", &view));
+  REFUSES("message", lot_print(NULL, "", text, 1, &count));
+  REFUSES("path", lot_print(message, NULL, text, 1, &count));
+  REFUSES("needed", lot_print(message, "", text, 1, NULL));
+  REFUSES("buffer", lot_print(message, "", NULL, 1, &count));
+  CHECK(none == NULL && in == NULL && fd == -1 && count == 77);
+
   lot_engine_options options = {.segment = "a/b"};
   char* const segment = strdup(getenv("LOT_SEGMENT"));
   CHECK(unsetenv("LOT_SEGMENT") == 0);
   CHECK(lot_engine_open(&options, &engine) == -EINVAL && engine == NULL);
   CHECK(setenv("LOT_SEGMENT", segment, 1) == 0);
   free(segment);
+  lot_loan_release(loan);
+  close_ends(&ends);
+}
+
+static void a_long_error_is_cut(void) {
+  struct ends ends = ends_of(point_type("point"), NULL);
+  char topic[3001];
+  memset(topic, 't', sizeof topic - 1);
+  topic[sizeof topic - 1] = '\0';
+  CHECK(lot_subscribe(ends.engine, topic, ends.type, NULL, &ends.in) == -EINVAL);
+  CHECK(strlen(lot_error_object()) == 255 && strlen(lot_error_text()) == 1535);
+  CHECK(strncmp(lot_error_object(), topic, 255) == 0 && strstr(lot_error_text(), "ttt") != NULL);
+  CHECK(lot_subscribe(ends.engine, "", ends.type, NULL, &ends.in) == -EINVAL);
+  CHECK(strlen(lot_error_object()) == 0 && strstr(lot_error_text(), "ttt") == NULL);
+  const char* const texts[] = {
+      "ok", "empty", "full", "timeout", "publisher gone", "holds too much", "stopped", "unknown"};
+  for (int status = LOT_OK; status <= LOT_STOPPED + 1; ++status) {
+    CHECK(strcmp(lot_status_text(status), texts[status]) == 0);
+  }
+  CHECK(strcmp(lot_status_text(-EPERM), "Operation not permitted") == 0);
+  close_ends(&ends);
 }
 
 static void memory_that_the_segment_does_not_have_is_an_error(void) {
@@ -570,6 +727,172 @@ static void memory_that_the_segment_does_not_have_is_an_error(void) {
   CHECK(strstr(lot_error_text(), "LOT_SIZE") != NULL);
   fill_box(loan);
   CHECK(lot_publisher_push(ends.out, &loan, NULL) == LOT_OK);
+  close_ends(&ends);
+}
+
+/* ---- options ---- */
+
+/* Opens and closes an engine. What the environment says comes first, so it says nothing. */
+static int opened(const lot_engine_options* options) {
+  lot_engine* engine = NULL;
+  const int result = lot_engine_open(options, &engine);
+  if (result == LOT_OK) lot_engine_close(engine);
+  return result;
+}
+
+static long locked_kilobytes(void) {
+  FILE* const file = fopen("/proc/self/status", "r");
+  char line[200];
+  long kilobytes = -1;
+  CHECK(file != NULL);
+  while (fgets(line, sizeof line, file) != NULL) sscanf(line, "VmLck: %ld", &kilobytes);
+  fclose(file);
+  return kilobytes;
+}
+
+static void each_option_of_an_engine_counts(void) {
+  char directory[] = "/dev/shm/lot_c_test_XXXXXX";
+  char path[64];
+  char* const segment = strdup(getenv("LOT_SEGMENT"));
+  char* const size = strdup(getenv("LOT_SIZE"));
+  CHECK(mkdtemp(directory) != NULL);
+  snprintf(path, sizeof path, "%s/own", directory);
+  CHECK(unsetenv("LOT_SEGMENT") == 0 && unsetenv("LOT_SIZE") == 0);
+  const lot_engine_options plain = {
+      .segment = "own", .directory = directory, .size_bytes = 32 << 20, .permissions = 0606};
+  lot_engine_options options = plain;
+  lot_engine* engine = NULL;
+  struct stat seen;
+  CHECK(lot_engine_open(&plain, &engine) == LOT_OK);
+  CHECK(strcmp(lot_engine_path(engine), path) == 0);
+  CHECK(stat(path, &seen) == 0 && seen.st_size == 32 << 20 && (seen.st_mode & 0777) == 0606);
+  lot_engine_close(engine);
+  CHECK(access(path, F_OK) != 0);
+
+  const struct {
+    const char* name;
+    uint32_t* option;
+  } counts[] = {{"processes", &options.processes},
+                {"blocks", &options.blocks},
+                {"topics", &options.topics},
+                {"channels", &options.channels},
+                {"readers", &options.readers}};
+  for (size_t i = 0; i < sizeof counts / sizeof *counts; ++i) {
+    char object[64];
+    snprintf(object, sizeof object, "EngineOptions::%s", counts[i].name);
+    *counts[i].option = UINT32_MAX;
+    REFUSES(object, opened(&options));
+    *counts[i].option = 0;
+  }
+  options.group = "no such group";
+  CHECK(opened(&options) < 0 && strstr(lot_error_text(), "no such group") != NULL);
+  options.group = NULL;
+  options.user = "no such user";
+  CHECK(opened(&options) < 0 && strstr(lot_error_text(), "no such user") != NULL);
+
+  options = plain;
+  options.lock_memory = true;
+  CHECK(locked_kilobytes() == 0);
+  if (lot_engine_open(&options, &engine) == LOT_OK) { /* where a process may lock so much */
+    CHECK(locked_kilobytes() > 0);
+    lot_engine_close(engine);
+  }
+  options = plain;
+  options.persist = true;
+  CHECK(opened(&options) == LOT_OK && access(path, F_OK) == 0);
+  CHECK(unlink(path) == 0);
+  strcat(path, ".lock");
+  unlink(path);
+  CHECK(rmdir(directory) == 0);
+  CHECK(setenv("LOT_SEGMENT", segment, 1) == 0 && setenv("LOT_SIZE", size, 1) == 0);
+  free(segment);
+  free(size);
+}
+
+static void each_option_of_an_end_counts(void) {
+  lot_publisher_options out = lot_publisher_defaults();
+  CHECK(out.policy == LOT_OVERWRITE && out.depth == 64 && out.block_for == LOT_SECOND);
+  CHECK(out.engine == LOT_RING && out.max_bytes == 0 && out.history == UINT32_MAX && !out.stamp);
+  lot_subscriber_options in = lot_subscriber_defaults();
+  CHECK(in.wait == LOT_ADAPTIVE && in.history == 0 && in.max_held_bytes == 0 && !in.observer);
+  out.max_bytes = 1 << 20;
+  out.history = 2;
+  struct ends ends = ends_of(box_type(), &out);
+  lot_loan* loan = NULL;
+  CHECK(lot_publisher_loan(ends.out, &loan) == LOT_OK);
+  CHECK(lot_resize(loan, "scores", 1 << 20) == -ENOBUFS); /* 4 MiB */
+  CHECK(strstr(lot_error_text(), "max_bytes") != NULL);
+  lot_loan_release(loan);
+  for (size_t i = 0; i < 3; ++i) {
+    CHECK(lot_publisher_loan(ends.out, &loan) == LOT_OK);
+    CHECK(lot_resize(loan, "scores", 16384 + i) == LOT_OK);
+    CHECK(lot_publisher_push(ends.out, &loan, NULL) == LOT_OK);
+    lot_message* read = NULL;
+    CHECK(lot_borrow(ends.in, LOT_NOW, NULL, &read) == LOT_OK);
+    lot_message_release(read);
+  }
+  CHECK(lot_publisher_loan(ends.out, &loan) == LOT_OK); /* takes back what was read */
+  lot_loan_release(loan);
+  in.history = UINT64_MAX;
+  in.observer = true;
+  in.max_held_bytes = 1;
+  lot_subscriber* late = NULL;
+  lot_message* first = NULL;
+  lot_message* second = NULL;
+  size_t count = 0;
+  CHECK(lot_subscribe(ends.engine, "/topic", ends.type, &in, &late) == LOT_OK);
+  CHECK(lot_subscriber_size(late, &count) == LOT_OK && count == 2);       /* history */
+  CHECK(lot_publisher_readers(ends.out, &count) == LOT_OK && count == 1); /* an observer is none */
+  CHECK(lot_pull(late, LOT_NOW, NULL, &first) == LOT_OK);
+  CHECK(lot_get_count(first, "scores", &count) == LOT_OK && count == 16385);
+  CHECK(lot_pull(late, LOT_NOW, NULL, &second) == LOT_HOLDS_TOO_MUCH && second == NULL);
+  lot_message_release(first);
+  lot_subscriber_close(late);
+  close_ends(&ends);
+
+  lot_publisher_options wrong = lot_publisher_defaults();
+  struct ends more = ends_of(point_type("point"), NULL);
+  lot_publisher* none = NULL;
+  wrong.depth = 0;
+  CHECK(lot_advertise(more.engine, "/other", more.type, &wrong, &none) == -EINVAL && none == NULL);
+  CHECK(strstr(lot_error_text(), "depth") != NULL);
+  close_ends(&more);
+}
+
+static void the_elements_of_a_loan_are_written_where_they_lie(void) {
+  struct ends ends = ends_of(box_type(), NULL);
+  lot_loan* loan = NULL;
+  void* data = NULL;
+  size_t size = 0;
+  double score = 0;
+  CHECK(lot_publisher_loan(ends.out, &loan) == LOT_OK);
+  CHECK(lot_resize(loan, "scores", 3) == LOT_OK);
+  CHECK(lot_loan_bytes(loan, "scores", &data, &size) == LOT_OK && size == 3 * sizeof(float));
+  ((float*)data)[2] = 2.5F;
+  CHECK(lot_get_double(lot_loan_message(loan), "scores[2]", &score) == LOT_OK && score == 2.5);
+  CHECK(lot_message_data(lot_loan_message(loan)) == lot_loan_data(loan));
+  lot_loan_release(loan);
+  close_ends(&ends);
+}
+
+static void an_envelope_without_a_stamp_says_so_and_cuts_a_long_name(void) {
+  const char* const name = "a name of a process that is much longer than any envelope has room for";
+  const lot_engine_options naming = {.name = name};
+  lot_engine* engine = NULL;
+  CHECK(lot_engine_open(&naming, &engine) == LOT_OK);
+  struct ends ends = ends_of(point_type("point"), NULL);
+  lot_envelope envelope;
+  lot_message* message = NULL;
+  push_point(ends.out, 1);
+  CHECK(lot_borrow(ends.in, 1, NULL, &message) == LOT_OK); /* a nanosecond: it is there */
+  CHECK(lot_subscriber_envelope(ends.in, &envelope) == LOT_OK && envelope.pushed == -1);
+  CHECK(envelope.sequence == 0 && envelope.missed == 0);
+  CHECK(strlen(envelope.publisher) > 20 && strlen(envelope.publisher) < sizeof envelope.publisher);
+  CHECK(strncmp(envelope.publisher, name, strlen(envelope.publisher)) == 0);
+  lot_message_release(message);
+  CHECK(lot_borrow(ends.in, 1, NULL, &message) == LOT_TIMEOUT);
+  CHECK(lot_borrow(ends.in, LOT_NOW, NULL, &message) == LOT_EMPTY);
+  lot_engine_close(engine);
   close_ends(&ends);
 }
 
@@ -664,6 +987,40 @@ static void a_killed_process_leaves_what_it_has_pushed(void) {
   lot_engine_close(engine);
 }
 
+static void signals_stop_waits_or_end_the_process(void) {
+  CHECK(!lot_stop_requested(NULL));
+  lot_stop_request(NULL);
+  pid_t child = fork();
+  CHECK(child >= 0);
+  if (child == 0) {
+    lot_stop* stop = NULL;
+    CHECK(lot_stop_on_signals(&stop) == LOT_OK);
+    lot_stop_request(stop); /* the signals alone stop it */
+    CHECK(!lot_stop_requested(stop));
+    struct ends ends = ends_of(point_type("point"), NULL);
+    lot_message* message = NULL;
+    CHECK(kill(getpid(), SIGTERM) == 0);
+    while (!lot_stop_requested(stop)) usleep(1000);
+    CHECK(lot_borrow(ends.in, LOT_FOREVER, stop, &message) == LOT_STOPPED && message == NULL);
+    message = (lot_message*)(void*)&ends; /* it says that there is none */
+    CHECK(lot_borrow(ends.in, LOT_NOW, stop, &message) == LOT_STOPPED && message == NULL);
+    close_ends(&ends);
+    lot_stop_release(stop);
+    _exit(0);
+  }
+  CHECK(code_of(child) == 0);
+  child = fork();
+  CHECK(child >= 0);
+  if (child == 0) {
+    CHECK(lot_end_cleanly_on_signals() == LOT_OK);
+    (void)open_engine();
+    CHECK(kill(getpid(), SIGTERM) == 0);
+    for (;;) pause();
+  }
+  const int status = code_of(child);
+  CHECK(WIFSIGNALED(status) && WTERMSIG(status) == SIGTERM);
+}
+
 /* ---- all of them ---- */
 
 struct test {
@@ -688,7 +1045,15 @@ static const struct test tests[] = {
     TEST(a_wait_ends_in_time_by_its_stop_and_with_the_publisher),
     TEST(an_envelope_says_where_a_message_comes_from),
     TEST(each_thread_has_its_own_last_error),
-    TEST(a_missing_argument_is_named),
+    TEST(a_missing_argument_of_a_type_is_named),
+    TEST(a_missing_argument_of_a_publisher_is_named),
+    TEST(a_missing_argument_of_a_subscriber_is_named),
+    TEST(a_long_error_is_cut),
+    TEST(each_option_of_an_engine_counts),
+    TEST(each_option_of_an_end_counts),
+    TEST(the_elements_of_a_loan_are_written_where_they_lie),
+    TEST(an_envelope_without_a_stamp_says_so_and_cuts_a_long_name),
+    TEST(signals_stop_waits_or_end_the_process),
     TEST(memory_that_the_segment_does_not_have_is_an_error),
     TEST(handles_are_inert_in_a_forked_child),
     TEST(a_killed_process_leaves_what_it_has_pushed),
