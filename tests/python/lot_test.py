@@ -449,6 +449,91 @@ class Values(Case):
         self.assertEqual(bytes(memoryview(seen.data)[:3]), b'\t\t\t')
 
 
+class Views(Case):
+    """What a view says of itself, as PEP 3118 has it."""
+
+    def view(self, what, **fields):
+        """Of the field `it` of a loan with that type."""
+        made = lot.message(type('Holder', (), {'__annotations__': {'before': lot.u8, 'it': what}}))
+        loan = self.engine.advertise('/' + str(len(self.engine_topics)), made).loan(**fields)
+        self.engine_topics.append(made)
+        return memoryview(loan.it)
+
+    def setUp(self):
+        super().setUp()
+        self.engine_topics = []
+
+    def told(self, what, **fields):
+        view = self.view(what, **fields)
+        self.assertEqual(view.nbytes, view.itemsize * (np.prod(view.shape, dtype=int) if view.ndim else 1))
+        self.assertFalse(view.readonly)
+        return view.format, view.itemsize, view.shape, view.strides
+
+    def test_a_number_is_one_letter(self):
+        for what, letter, size in ((bool, '?', 1), (lot.char, 'c', 1), (lot.i8, 'b', 1), (lot.i16, 'h', 2),
+                                   (lot.i32, 'i', 4), (lot.i64, 'q', 8), (lot.u8, 'B', 1), (lot.u16, 'H', 2),
+                                   (lot.u32, 'I', 4), (lot.u64, 'Q', 8), (lot.f32, 'f', 4), (lot.f64, 'd', 8)):
+            with self.subTest(what):
+                two = {bool: [True, False], lot.char: [b'a', b'b']}.get(what, [1, 0])
+                self.assertEqual(self.told(lot.vector[what], it=two), (letter, size, (2,), (size,)))
+                self.assertEqual(self.told(lot.array[what, 3]), (letter, size, (3,), (size,)))
+        self.assertEqual(self.told(lot.vector[Mode], it=[0, 7, 7]), ('H', 2, (3,), (2,)))
+
+    def test_an_empty_vector_has_a_view_of_nothing(self):
+        self.assertEqual(self.told(lot.vector[lot.f32]), ('f', 4, (0,), (4,)))
+
+    def test_arrays_in_arrays_are_dimensions(self):
+        self.assertEqual(self.told(lot.array[lot.array[lot.u16, 2], 3]), ('H', 2, (3, 2), (4, 2)))
+        self.assertEqual(self.told(lot.array[lot.array[lot.array[lot.f64, 5], 2], 3]), ('d', 8, (3, 2, 5), (80, 40, 8)))
+        self.assertEqual(self.told(lot.vector[lot.array[lot.f32, 4]], it=[[1, 2, 3, 4]] * 2), ('f', 4, (2, 4), (16, 4)))
+        view = self.view(lot.array[lot.array[lot.u16, 2], 3], it=np.arange(6))
+        self.assertEqual(view.tolist(), [[0, 1], [2, 3], [4, 5]])
+        deep = lot.u8
+        for _ in range(14):
+            deep = lot.array[deep, 1]
+        self.assertEqual(self.told(deep)[2], (1,) * 14)
+
+    def test_a_struct_has_names_and_padding(self):
+        @lot.message
+        class Inner:
+            low: lot.u8
+            rows: lot.array[lot.array[lot.f32, 3], 2]
+
+        @lot.message
+        class Outer:
+            first: lot.i64
+            inner: Inner
+            last: lot.i16
+        text = 'T{=B:low:3x(2,3)=f:rows:}'
+        self.assertEqual(self.told(Inner), (text, 28, (), ()))
+        self.assertEqual(self.told(lot.vector[Inner], it=[{}, {}]), (text, 28, (2,), (28,)))
+        self.assertEqual(self.told(Outer), ('T{=q:first:' + text + ':inner:=h:last:2x}', 40, (), ()))
+        self.assertEqual(self.told(Point), ('T{=B:flag:7x=d:x:(3)=h:counts:2x=f:y:4x}', 32, (), ()))
+        read = np.asarray(self.view(lot.vector[Point], it=[{'x': 1.5, 'y': 2, 'counts': [1, 2, 3]}]))
+        self.assertEqual((read['x'][0], read['y'][0], read['counts'][0].tolist()), (1.5, 2, [1, 2, 3]))
+
+    def test_what_is_elsewhere_has_no_view(self):
+        for what in (lot.vector[lot.string], lot.vector[lot.vector[lot.u8]], lot.array[lot.string, 2],
+                     lot.array[lot.ref[Point], 2], Note):
+            with self.subTest(what), self.assertRaisesRegex(BufferError, 'use them one by one'):
+                self.view(what)
+
+    def test_a_user_of_bytes_alone_gets_bytes_alone(self):
+        pub, sub = self.ends(Frame)
+        pub.push(pub.loan(data=[1, 2, 3]))
+        seen = sub.pull(0)
+        self.assertEqual(bytes(seen.data), b'\1\2\3')
+        with tempfile.TemporaryFile() as file:
+            self.assertEqual(file.write(seen.data), 3)
+            file.seek(0)
+            loan = pub.loan(data=bytes(3))
+            self.assertEqual(file.readinto(loan.data), 3)
+            self.assertEqual(bytes(loan.data), b'\1\2\3')
+            file.seek(0)
+            with self.assertRaisesRegex((BufferError, TypeError), 'read-only|read-write'):
+                file.readinto(seen.data)
+
+
 class Lifetimes(Case):
     def push(self, pub, value):
         frame = pub.loan(width=value)
@@ -1309,6 +1394,45 @@ class Options(Case):
         with self.assertRaisesRegex(TypeError, 'colour'):
             lot.Engine(colour=3)
         del ends
+
+    def test_each_option_of_an_engine_counts(self):
+        with tempfile.TemporaryDirectory(dir='/dev/shm', prefix='lot_python_') as folder, \
+                unittest.mock.patch.dict(os.environ):
+            del os.environ['LOT_SEGMENT'], os.environ['LOT_SIZE']
+            own = dict(segment='own', directory=folder, size_bytes=32 << 20, permissions=0o606)
+            engine = lot.Engine(**own)
+            self.assertEqual(engine.path, os.path.join(folder, 'own'))
+            seen = os.stat(engine.path)
+            self.assertEqual((seen.st_size, seen.st_mode & 0o777), (32 << 20, 0o606))
+            del engine, seen
+            for name in 'processes', 'blocks', 'topics', 'channels', 'readers':
+                with self.subTest(name), self.assertRaisesRegex(lot.Error, f'EngineOptions::{name}'):
+                    lot.Engine(**own, **{name: 0xffffffff})
+            for name in 'group', 'user':
+                with self.subTest(name), self.assertRaisesRegex(lot.Error, 'nobody at all'):
+                    lot.Engine(**own, **{name: 'nobody at all'})
+            for wrong, text in (({'persist': 'x'}, "persist: takes True or False, not 'x'"),
+                                ({'name': 3}, 'name: takes a str, not 3'),
+                                ({'topics': -1}, 'topics: takes a number of 0 or more, not -1'),
+                                ({'colour': 1}, "an engine has no option 'colour'")):
+                with self.subTest(wrong), self.assertRaises(TypeError) as caught:
+                    lot.Engine(**own, **wrong)
+                self.assertEqual(str(caught.exception), text)
+
+            def locked():
+                return int(pathlib.Path('/proc/self/status').read_text().split('VmLck:')[1].split()[0])
+            before = locked()
+            try:
+                engine = lot.Engine(**own, lock_memory=True)
+                self.assertGreater(locked(), before)
+                del engine
+            except lot.Error as error:  # a process may not lock so much
+                self.assertIn(error.errno, (errno.ENOMEM, errno.EPERM, errno.EAGAIN))
+            engine = lot.Engine(**own, persist=True)
+            path = engine.path
+            del engine
+            gc.collect()
+            self.assertTrue(os.path.exists(path))
 
     def test_no_publisher_waits_for_an_observer(self):
         pub = self.engine.advertise('/topic', Point, policy=lot.Policy.REFUSE, depth=2)
