@@ -2,6 +2,7 @@
 
 // Types that are made while a program runs: they are what the compiler makes of the C++ types.
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <chrono>
@@ -239,6 +240,118 @@ TEST_CASE("what can be no type is refused by lot::Error") {
   for (int i = 0; i < 1000; ++i)
     many.push_back({"a rather long name " + std::to_string(i), real(8)});
   CHECK(number_of([&] { (void)AnyType::structure("s", many); }) == EINVAL);
+}
+
+TEST_CASE("which numbers there are: by kind and size") {
+  struct Row {
+    Kind kind;
+    std::vector<std::pair<std::size_t, AnyType>> sizes;
+  };
+  const std::vector<Row> rows{
+      {Kind::Bool, {{1, AnyType::of<bool>()}}},
+      {Kind::Char, {{1, AnyType::of<char>()}}},
+      {Kind::Int,
+       {{1, AnyType::of<std::int8_t>()},
+        {2, AnyType::of<std::int16_t>()},
+        {4, AnyType::of<std::int32_t>()},
+        {8, AnyType::of<std::int64_t>()}}},
+      {Kind::UInt,
+       {{1, AnyType::of<std::uint8_t>()},
+        {2, AnyType::of<std::uint16_t>()},
+        {4, AnyType::of<std::uint32_t>()},
+        {8, AnyType::of<std::uint64_t>()}}},
+      {Kind::Float,
+       {{4, AnyType::of<float>()}, {8, AnyType::of<double>()}, {16, AnyType::of<long double>()}}},
+  };
+  for (const Row& row : rows) {
+    for (std::size_t size = 0; size <= 33; ++size) {
+      CAPTURE(static_cast<unsigned>(row.kind));
+      CAPTURE(size);
+      AnyType made;
+      const auto [error, text] = error_of([&] { made = AnyType::number(row.kind, size); });
+      const auto found = std::find_if(row.sizes.begin(), row.sizes.end(),
+                                      [&](const auto& pair) { return pair.first == size; });
+      if (found == row.sizes.end()) {
+        CHECK(error == EINVAL);
+        CHECK(lot::testing::names(
+            text, ("no number of this kind has " + std::to_string(size) + " bytes").c_str()));
+      } else {
+        REQUIRE(made);
+        CHECK(made.name() == found->second.name());
+        CHECK(made.is_same(found->second));
+      }
+    }
+  }
+  const auto [error, text] = error_of([] { (void)AnyType::number(Kind::Struct, 8); });
+  CHECK(error == EINVAL);
+  CHECK(lot::testing::names(text, "this kind is no number"));
+}
+
+TEST_CASE("what a refusal of a type says, at each bound") {
+  const auto says = [](auto&& make, const char* what) {
+    const auto [error, text] = error_of(make);
+    CHECK_MESSAGE((error == EINVAL && lot::testing::names(text, what)), text);
+  };
+  for (const std::size_t align : {1U, 2U, 64U, 4096U}) {
+    const AnyType type = AnyType::opaque("o", 8192, align);
+    CHECK(type.size() == 8192);
+    CHECK(type.alignment() == align);
+    CHECK(AnyType::decoded("o", align, type.encoded()).is_same(type));
+  }
+  const std::string bytes = AnyType::opaque("o", 24, 8).encoded();
+  says([] { (void)AnyType::opaque("o", 24, 3); }, "its alignment is 3");
+  says([] { (void)AnyType::opaque("o", 16384, 8192); }, "its alignment is 8192");
+  says([] { (void)AnyType::opaque("o", 24, 0); }, "no multiple of its alignment, 0");
+  says([] { (void)AnyType::opaque("o", 24, 16); }, "no multiple of its alignment, 16");
+  says([&] { (void)AnyType::decoded("o", 0, bytes); }, "its alignment is 0");
+  says([&] { (void)AnyType::decoded("o", 16, bytes); }, "no multiple of its alignment, 16");
+  says([&] { (void)AnyType::decoded("o", 8, bytes.substr(1)); }, "these bytes are no description");
+  says([] { (void)AnyType::opaque("", 8, 8); }, "a type has a name of one byte or more");
+  says([] { (void)AnyType::opaque(std::string("a\0b", 3), 8, 8); }, "without a zero");
+  says([] { (void)AnyType::duration(whole(8), 0, 1); }, "its unit is 0/1 seconds");
+  says([] { (void)AnyType::duration(whole(8), 1, 0); }, "its unit is 1/0 seconds");
+  CHECK(AnyType::duration(whole(8), 1, 1).size() == 8);
+  says([] { (void)AnyType::array(real(8), 0); }, "an array cannot have 0 elements");
+  says([] { (void)AnyType::array(real(8), std::size_t{1} << 61); }, "an array cannot have");
+  CHECK(AnyType::array(real(8), 1).size() == 8);
+  says([] { (void)AnyType::array({}, 1); }, "a part of it is no type");
+  says([] { (void)AnyType::duration({}, 1, 1); }, "a part of it is no type");
+  says([] { (void)AnyType::time_point("c", {}); }, "a part of it is no type");
+  says([] { (void)AnyType::enumeration("e", {}); }, "a part of it is no type");
+  says([] { (void)AnyType::reference({}); }, "a part of it is no type");
+  says([] { (void)AnyType::structure("s", {{"x", {}}}); }, "s.x");
+  says([] { (void)AnyType::of<robot::Point>().field(2); }, "it has no field 2");
+}
+
+TEST_CASE("where the fields of a made struct lie, and what it is called in containers") {
+  struct Row {
+    Fields fields;
+    std::vector<std::uint64_t> offsets;
+    std::size_t size, alignment;
+  };
+  for (const Row& row :
+       {Row{{}, {}, 1, 1}, Row{{{"a", whole(1)}}, {0}, 1, 1},
+        Row{{{"a", whole(1)}, {"b", whole(8)}, {"c", whole(1)}}, {0, 8, 16}, 24, 8},
+        Row{{{"a", whole(8)}, {"b", whole(1)}, {"c", whole(2)}}, {0, 8, 10}, 16, 8},
+        Row{{{"a", real(16)}, {"b", whole(4)}}, {0, 16}, 32, 16}}) {
+    const AnyType type = AnyType::structure("s", row.fields);
+    CHECK(type.size() == row.size);
+    CHECK(type.alignment() == row.alignment);
+    const auto& fields = type.description().root().fields;
+    REQUIRE(fields.size() == row.offsets.size());
+    for (std::size_t i = 0; i < fields.size(); ++i) {
+      CHECK(fields[i].offset == row.offsets[i]);
+      CHECK(fields[i].name == row.fields[i].name);
+      CHECK(type.field(i).is_same(row.fields[i].type));
+    }
+  }
+  const AnyType bytes = AnyType::vector(natural(1));
+  CHECK(AnyType::vector(bytes).name() ==
+        AnyType::of<lot::ShmVector<lot::ShmVector<std::uint8_t>>>().name());
+  CHECK(
+      AnyType::reference(bytes).is_same(AnyType::of<lot::ShmRef<lot::ShmVector<std::uint8_t>>>()));
+  CHECK(AnyType::vector(AnyType::array(bytes, 2)).name() ==
+        AnyType::of<lot::ShmVector<std::array<lot::ShmVector<std::uint8_t>, 2>>>().name());
 }
 
 TEST_CASE("a subscriber with a made type comes first, and gets what a ShmPusher publishes") {

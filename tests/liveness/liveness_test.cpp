@@ -7,7 +7,9 @@
 #include <csignal>
 #include <cstdint>
 #include <string>
+#include <sys/prctl.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
 #include <thread>
 #include <unistd.h>
 
@@ -131,6 +133,91 @@ TEST_CASE("the holder of a byte is found, and whether it is stopped") {
   CHECK_MESSAGE(names(text, "kill -CONT"), text);
   holder.kill9();
   CHECK(file.enter_gate(2s));
+  unlink(path.c_str());
+}
+
+TEST_CASE("the holder of each byte of a run is found, by a name of any bytes") {
+  const Watchdog watchdog(60);
+  const std::string path = "/dev/shm/" + unique_name() + ".lock";
+  Steps locked;
+  Child holder([&] {
+    prctl(PR_SET_NAME, "a) (b\x01 c");
+    LockFile other(path + "2");  // a file with locks that is another one
+    LockFile file(path);
+    must(other.try_lock(9), "the other's lock");
+    for (const std::uint32_t byte : {5U, 6U, 7U, 12U}) must(file.try_lock(byte), "the lock");
+    locked.tell();
+    pause();
+  });
+  REQUIRE(locked.next() == '.');
+  struct stat status {};
+  REQUIRE(stat(path.c_str(), &status) == 0);
+  const LockProbe probe(path);
+  for (std::uint32_t byte = 0; byte < 20; ++byte) {
+    CAPTURE(byte);
+    const bool is_held = (byte >= 5 && byte <= 7) || byte == 12;
+    for (const auto& found : {LockHolder::find(path, status.st_ino, byte), probe.holder(byte)}) {
+      REQUIRE(found.has_value() == is_held);
+      if (!found) continue;
+      CHECK(found->pid == holder.pid());
+      CHECK(found->name == "a) (b? c");
+      CHECK_FALSE(found->is_stopped);
+    }
+    CHECK(probe.is_held(byte) == is_held);
+  }
+  CHECK(probe.is_held(8, 5));
+  CHECK_FALSE(probe.is_held(8, 4));
+  CHECK_FALSE(LockHolder::find(path + "3", status.st_ino, 5));
+  const LockHolder found = *probe.holder(5);
+  const std::string pid = std::to_string(holder.pid());
+  CHECK(found.describe() == "process " + pid + " (a) (b? c)");
+  CHECK(found.advice() ==
+        "continue it (kill -CONT " + pid + ") or kill it (kill -KILL " + pid + ")");
+  holder.kill9();
+  unlink(path.c_str());
+  unlink((path + "2").c_str());
+}
+
+TEST_CASE("a process is being killed from the signal on, until it is collected") {
+  const Watchdog watchdog(60);
+  CHECK_FALSE(lot::liveness::is_being_killed(getpid()));
+  CHECK_FALSE(lot::liveness::is_being_killed(0x7ffffff0));  // there is no such process
+  int ends[2];
+  REQUIRE(pipe(ends) == 0);
+  const pid_t child = fork();
+  REQUIRE(child != -1);
+  if (child == 0) {
+    char byte = 0;
+    _exit(read(ends[0], &byte, 1) == 1 ? 0 : 1);
+  }
+  CHECK_FALSE(lot::liveness::is_being_killed(child));
+  kill(child, SIGKILL);
+  CHECK(lot::liveness::is_being_killed(child));  // pending, ending or a zombie
+  siginfo_t info{};
+  REQUIRE(waitid(P_PID, static_cast<id_t>(child), &info, WEXITED | WNOWAIT) == 0);
+  CHECK(lot::liveness::is_being_killed(child));
+  REQUIRE(waitpid(child, nullptr, 0) == child);
+  CHECK_FALSE(lot::liveness::is_being_killed(child));
+  close(ends[0]);
+  close(ends[1]);
+}
+
+TEST_CASE("what is no lock file is opened without waiting, and is named") {
+  const Watchdog watchdog(60);
+  const std::string path = "/dev/shm/" + unique_name() + ".lock";
+  REQUIRE(mkfifo(path.c_str(), 0600) == 0);
+  CHECK(!LockProbe(path).is_lock_file());  // does not wait for a writer
+  unlink(path.c_str());
+  REQUIRE(mkdir(path.c_str(), 0700) == 0);
+  CHECK(!LockProbe(path).is_lock_file());
+  CHECK(!LockProbe(path).is_held(0, 320));
+  CHECK(!LockProbe(path).holder(0));
+  rmdir(path.c_str());
+  { const LockFile file(path); }
+  REQUIRE(truncate(path.c_str(), 7) == 0);
+  const auto [error, text] = error_of([&] { const LockFile file(path); });
+  CHECK(error == EINVAL);
+  CHECK_MESSAGE(names(text, "it is a file of 7 bytes, no lock file"), text);
   unlink(path.c_str());
 }
 

@@ -131,8 +131,23 @@ TEST_CASE("a run that is longer than the pool, or of nothing, is refused") {
   Pool pool(5);
   CHECK(pool.granules.claim(0, 1) == Granules::kNone);
   CHECK(pool.granules.claim(6, 1) == Granules::kNone);
-  CHECK(pool.granules.claim(~std::uint32_t{0}, 1) == Granules::kNone);
+  for (const std::uint32_t run : {255U, 256U, 300U, ~std::uint32_t{0}}) {
+    CHECK(pool.granules.claim(run, 1) == Granules::kNone);
+  }
+  CHECK(pool.granules.used() == 0);
   CHECK(pool.granules.claim(5, 1) == 0);
+  // Nor is one given back that there cannot be.
+  struct Row {
+    std::uint32_t first, run;
+  };
+  for (const Row& row : {Row{0, 0}, Row{0, 6}, Row{4, 2}, Row{5, 1}, Row{1, ~std::uint32_t{0}}}) {
+    pool.granules.release(row.first, row.run);
+    CHECK(pool.is_run(0, 5, 1));
+  }
+  CHECK_FALSE(pool.granules.extend(5, 1, 1));
+  CHECK_FALSE(pool.granules.extend(5, 0, 1));
+  pool.granules.release(4, 1);
+  CHECK(pool.is_run(0, 4, 1));
   Pool nothing(0);
   CHECK(nothing.granules.claim(1, 1) == Granules::kNone);
 }

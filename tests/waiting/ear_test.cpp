@@ -116,7 +116,48 @@ TEST_CASE_FIXTURE(Fixture, "a client that is forgotten is due no more") {
   ear.forget(a);
   local.world().renew_directory();
   CHECK(take(ear) == Clients{&b});
+  CHECK(listeners(3) == 1);  // b was the first in its place, and listens on
   ear.forget(b);
+}
+
+TEST_CASE_FIXTURE(Fixture, "each of several that listen to one ring takes the first one's place") {
+  Ear ear(owner);
+  Ear::Client a, b, c;
+  for (Ear::Client* const client : {&a, &b, &c}) {
+    ear.listen(*client, 3);
+    ear.listen(*client, 3);  // again, which changes nothing
+  }
+  ear.listen(c, 4);
+  ear.forget(a);
+  ear.forget(b);
+  ring_ears(3);
+  ring_ears(4);
+  CHECK(take(ear) == Clients{&c, &c});
+  CHECK(listeners(3) == 1);
+  CHECK(listeners(4) == 1);
+  ring_ears(3);
+  CHECK(take(ear).empty());  // it would have to listen again
+  CHECK(listeners(3) == 0);
+  CHECK(listeners(4) == 1);
+  ear.forget(c);
+}
+
+TEST_CASE_FIXTURE(Fixture, "the first that watches the directory is told, each by its version") {
+  Ear ear(owner);
+  Ear::Client a, b;
+  const std::uint32_t version = segment.directory().version.load();
+  CHECK(ear.watch_directory(a, version));
+  CHECK_FALSE(ear.watch_directory(a, version));
+  CHECK_FALSE(ear.watch_directory(b, version));
+  CHECK(take(ear).empty());
+  local.world().renew_directory();
+  CHECK_FALSE(ear.watch_directory(b, segment.directory().version.load()));
+  CHECK(take(ear) == Clients{&a});
+  ear.forget(a);
+  CHECK_FALSE(ear.watch_directory(b, version));  // it was there all the time
+  ear.forget(b);
+  CHECK(ear.watch_directory(a, version));
+  ear.forget(a);
 }
 
 TEST_CASE_FIXTURE(Fixture, "an ear takes its bit away where no client listens any more") {
