@@ -430,6 +430,10 @@ TEST_CASE_FIXTURE(Fixture, "a topic whose items wait stays without users, and ha
   set(name, State::Live);  // its publisher would be a user
   CHECK(registry.type_of("/a") == nullptr);
   set(name, State::Orphan);
+  segment.ring(name.channel).slots[0] = lot::ring::make(4, lot::ring::kNoBlock);
+  CHECK(registry.type_of("/a") == nullptr);  // the item was taken
+  segment.ring(name.channel).slots[0] = lot::ring::make(4, 3);
+  CHECK(registry.type_of("/a") != nullptr);
   segment.channels()[name.channel].topic = kTopics;  // a wild write
   CHECK(registry.type_of("/a") == nullptr);
 }
@@ -472,6 +476,8 @@ TEST_CASE("how many granules a ring takes") {
       {{1024, 8}, 3},
       {{472, 1}, 1},
       {{473, 1}, 2},
+      {{66008, 1}, 129},
+      {{66016, 1}, 130},
       {{1024, 256}, 7},
       {{65536, 1}, 129},
       {{1024, 256, Policy::Block, QueueEngine::Ring, kTaken}, 7},
