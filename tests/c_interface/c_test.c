@@ -154,6 +154,7 @@ static void a_struct_lies_as_the_compiler_lays_it_out(void) {
     lot_type_release(part);
   }
   CHECK(lot_type_field(type, 4, NULL, NULL, NULL) == -EINVAL);
+  CHECK(lot_type_field(type, 0, NULL, NULL, NULL) == LOT_OK); /* what is NULL is not told */
   lot_type_release(type);
 }
 
@@ -206,6 +207,11 @@ static void what_can_be_no_type_is_refused(void) {
   const lot_field fields[] = {{"a", large}, {"b", large}, {"c", large}};
   CHECK(lot_type_struct("s", fields, 3, &none) == -EINVAL);
   CHECK(none == NULL);
+  const lot_field nameless = {NULL, byte};
+  const char* name = NULL;
+  CHECK(lot_type_struct("s", &nameless, 1, &none) == LOT_OK);
+  CHECK(lot_type_field(none, 0, &name, NULL, NULL) == LOT_OK && strcmp(name, "") == 0);
+  lot_type_release(none);
   lot_type_release(large);
   lot_type_release(byte);
 }
