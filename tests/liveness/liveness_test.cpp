@@ -6,8 +6,10 @@
 #include <cerrno>
 #include <csignal>
 #include <cstdint>
+#include <fcntl.h>
 #include <string>
 #include <sys/prctl.h>
+#include <sys/ptrace.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <thread>
@@ -200,6 +202,55 @@ TEST_CASE("a process is being killed from the signal on, until it is collected")
   CHECK_FALSE(lot::liveness::is_being_killed(child));
   close(ends[0]);
   close(ends[1]);
+}
+
+TEST_CASE("a process that has ended by itself has ended, too, until it is collected") {
+  const Watchdog watchdog(60);
+  const pid_t child = fork();
+  REQUIRE(child != -1);
+  if (child == 0) _exit(0);
+  siginfo_t info{};
+  REQUIRE(waitid(P_PID, static_cast<id_t>(child), &info, WEXITED | WNOWAIT) == 0);
+  CHECK(lot::liveness::is_being_killed(child));
+  REQUIRE(waitpid(child, nullptr, 0) == child);
+}
+
+TEST_CASE("a holder is one of the kernel's locks of open files, up to the end of all bytes") {
+  const Watchdog watchdog(60);
+  const std::string path = "/dev/shm/" + unique_name() + ".lock";
+  Steps locked;
+  const auto lock = [](int fd, int how, off_t first, off_t count) {
+    struct flock range {};
+    range.l_type = F_WRLCK;
+    range.l_whence = SEEK_SET;
+    range.l_start = first;
+    range.l_len = count;  // 0: all that follow
+    must(fcntl(fd, how, &range) == 0, "the lock");
+  };
+  Child holder([&] {
+    const int fd = open(path.c_str(), O_RDWR | O_CREAT, 0600);
+    must(fd != -1, "the file");
+    lock(fd, F_OFD_SETLK, 100, 0);
+    lock(fd, F_SETLK, 7, 1);  // of the process
+    // Where no process may be traced, it is only stopped.
+    (void)ptrace(PTRACE_TRACEME, 0, nullptr, nullptr);
+    locked.tell();
+    raise(SIGSTOP);
+    pause();
+  });
+  REQUIRE(locked.next() == '.');
+  struct stat status {};
+  REQUIRE(stat(path.c_str(), &status) == 0);
+  for (const std::uint32_t byte : {0U, 7U, 99U, 100U, 101U, 319U, ~std::uint32_t{0}}) {
+    CAPTURE(byte);
+    const auto found = LockHolder::find(path, status.st_ino, byte);
+    REQUIRE(found.has_value() == (byte >= 100));
+    if (found) CHECK(found->pid == holder.pid());
+  }
+  // One that a debugger has stopped has stopped.
+  CHECK(eventually([&] { return LockHolder::find(path, status.st_ino, 100)->is_stopped; }));
+  holder.kill9();
+  unlink(path.c_str());
 }
 
 TEST_CASE("what is no lock file is opened without waiting, and is named") {

@@ -11,6 +11,7 @@
 
 #include <doctest/doctest.h>
 
+#include "lot/compliance.hpp"
 #include "lot/error.hpp"
 
 #include "description/by_hand.hpp"
@@ -526,6 +527,14 @@ TEST_CASE("a known type is what its topic, its program or its description says")
   CHECK(known.names == all.names + 1);  // as the topic says
   CHECK(known.has_names);
   CHECK(known.bytes == bytes);
+  // Damaged, or without a description: nothing else tells the two apart.
+  CHECK_FALSE(KnownType("s", topic, std::nullopt).is_equal(KnownType("s", topic, std::string())));
+  CHECK(KnownType("s", topic, std::nullopt).is_equal(KnownType("s", topic, std::nullopt)));
+  for (const auto& bad : {std::optional<std::string>(), std::optional<std::string>("nonsense")}) {
+    const KnownType damaged("s", topic, bad);
+    CHECK(error_of([&] { (void)damaged.description(); }).first == EBADMSG);
+    CHECK(damaged.type().described(damaged.type()).names == all.names + 1);
+  }
   raw(topic.type_names) = 0;  // killed before the hash
   const KnownType finished("s", topic, bytes);
   CHECK(finished.type().described(finished.type()).names == all.names);
@@ -535,6 +544,8 @@ TEST_CASE("a known type is what its topic, its program or its description says")
   CHECK(wrong.type().described(wrong.type()).names == 0);
   CHECK_FALSE(wrong.type().described(wrong.type()).has_names);
   topic.type_size = 12;
+  topic.type_align = lot::detail::kMaxAlignment;
+  CHECK(KnownType("s", topic, bytes).type().align == lot::detail::kMaxAlignment);
   for (const std::uint64_t align : {0U, 3U, 8192U}) {
     topic.type_align = align;
     const auto [error, text] = error_of([&] { const KnownType none("s", topic, bytes); });
