@@ -354,6 +354,31 @@ TEST_CASE("where the fields of a made struct lie, and what it is called in conta
         AnyType::of<lot::ShmVector<std::array<lot::ShmVector<std::uint8_t>, 2>>>().name());
 }
 
+TEST_CASE("what the parts of a type are called") {
+  const Fields fields{{"a", AnyType::number(Kind::Bool, 1)},
+                      {"b", AnyType::number(Kind::Char, 1)},
+                      {"c", whole(4)},
+                      {"d", natural(2)},
+                      {"e", real(8)},
+                      {"f", AnyType::enumeration("robot::Mode", natural(2))},
+                      {"g", AnyType::opaque("robot::Secret", 12, 4)},
+                      {"h", point()},
+                      {"i", AnyType::string()},
+                      {"j", AnyType::array(real(4), 3)}};
+  const AnyType type = AnyType::structure("s", fields);
+  for (std::size_t i = 0; i < fields.size(); ++i) {
+    CAPTURE(i);
+    const bool is_named = i < 8;
+    CHECK(type.field(i).name() == (is_named ? fields[i].type.name() : "part of a message"));
+    CHECK(type.field(i).size() == fields[i].type.size());
+    CHECK(type.field(i).alignment() == fields[i].type.alignment());
+  }
+  CHECK_FALSE(type.element());
+  CHECK(type.field(9).element().name() == real(4).name());
+  const auto [error, text] = error_of([] { (void)AnyType::opaque("", 8, 8); });
+  CHECK(text.starts_with("lot: type: a type has a name"));
+}
+
 TEST_CASE("a subscriber with a made type comes first, and gets what a ShmPusher publishes") {
   lot::ShmEngine engine(fresh());
   auto puller = engine.subscribe_any("/frames", frame());

@@ -142,6 +142,28 @@ TEST_CASE_FIXTURE(Fixture, "each of several that listen to one ring takes the fi
   ear.forget(c);
 }
 
+TEST_CASE_FIXTURE(Fixture, "all that listen to a ring are due once, also after another one went") {
+  Ear ear(owner);
+  Ear::Client a, b, c, d;
+  for (const std::uint32_t channel : {3U, 4U}) {
+    for (Ear::Client* const client : {&a, &b, &b, &c, &b}) ear.listen(*client, channel);
+  }
+  ear.listen(d, 3);
+  ear.listen(d, 5);
+  ear.forget(d);
+  ring_ears(3);
+  CHECK(take(ear) == Clients{&a, &b, &c});
+  CHECK(listeners(3) == 1);
+  ear.forget(b);  // it was behind another one
+  ring_ears(4);
+  CHECK(take(ear) == Clients{&a, &c});
+  CHECK(listeners(4) == 1);
+  ear.listen(a, 4);
+  ring_ears(4);
+  CHECK(take(ear) == Clients{&a});
+  CHECK(listeners(4) == 1);
+}
+
 TEST_CASE_FIXTURE(Fixture, "the first that watches the directory is told, each by its version") {
   Ear ear(owner);
   Ear::Client a, b;
@@ -156,8 +178,10 @@ TEST_CASE_FIXTURE(Fixture, "the first that watches the directory is told, each b
   ear.forget(a);
   CHECK_FALSE(ear.watch_directory(b, version));  // it was there all the time
   ear.forget(b);
-  CHECK(ear.watch_directory(a, version));
-  ear.forget(a);
+  CHECK(ear.watch_directory(b, version));
+  CHECK_FALSE(ear.watch_directory(a, version));
+  ear.forget(b);
+  CHECK(take(ear) == Clients{&a});
 }
 
 TEST_CASE_FIXTURE(Fixture, "an ear takes its bit away where no client listens any more") {
