@@ -14,6 +14,8 @@
 
 #include <doctest/doctest.h>
 
+#include "lot/detail/control.hpp"
+
 #include "support/local_segment.hpp"
 
 namespace {
@@ -96,7 +98,7 @@ struct Room {
     holder.own = lot::transport::HardwareOwnership(kSelf);
     eviction.prepare(kBlocks, 8);
   }
-  LocalSegment local{{16 << 20, 3, kBlocks, 1, 4, 2}};
+  LocalSegment local{{16 << 20, 4, kBlocks, 2, 3, 3}};
   lot::transport::Holder holder;
   Eviction eviction{holder, local.segment()};
   Eviction::Givers nobody{};
@@ -302,6 +304,76 @@ TEST_CASE("a run can be free where its granules are free or marked, one beside t
   }
   CHECK(!room.eviction.can_free_run(kNobody, 3, room.nobody));
   CHECK(asker.marked == Publisher::Marked{false, 3 * kGranule, false});
+}
+
+TEST_CASE("a publisher of another process is asked if it holds more, and can keep as much") {
+  Room room;
+  lot::segment::Segment& segment = room.local.segment();
+  lot::transport::World& world = room.local.world();
+  constexpr std::uint32_t kOther = 2;
+  constexpr lot::detail::MessageType kNumber{8, 8, 1, "number", nullptr, true, nullptr};
+  world.participant_state(kOther).take();
+  lot::registry::ChannelName name{};
+  {
+    const lot::registry::Registry::Lock lock(room.local.registry());
+    const std::uint32_t topic = room.local.registry().enter("/numbers", kNumber, kOther);
+    name = room.local.registry().open(topic, kOther, {4, 3}).value();
+  }
+  lot::ring::Writer<lot::segment::Atomics> writer(segment.ring(name.channel));
+  for (std::uint32_t b = 0; b < 4; ++b) {  // each has three granules
+    lot::transport::HardwareOwnership::Hold hold{};
+    REQUIRE(lot::transport::HardwareOwnership(kOther).claim(world.block(b), hold));
+    REQUIRE(segment.claim_run(3, b + 1) != kNobody);
+    writer.publish(b);
+  }
+  Eviction::Givers givers{};
+  const auto evict = [&](std::uint64_t need, Shortage shortage) {
+    return room.eviction.evict(7, need, shortage, givers);
+  };
+  room.eviction.look_at_others(Shortage::Memory);
+  CHECK(evict(kGranule, Shortage::Memory).what == What::Nothing);
+  givers[kOther] = true;
+
+  struct Row {
+    std::uint64_t own, need;
+    Shortage shortage;
+    std::uint64_t keeps, needs;  ///< as it is asked; 0: it is not
+  };
+  const Row table[] = {
+      {0, 9 * kGranule, Shortage::Memory, 9, 9},
+      {0, 9 * kGranule + 1, Shortage::Memory, 0, 0},
+      {0, 9, Shortage::Blocks, 0, 0},
+      {0, 3, Shortage::Blocks, 3, 3},
+      {1, 2, Shortage::Blocks, 3, 2},
+      {1, 3, Shortage::Blocks, 0, 0},
+      {0, 1, Shortage::Memory, 1, 1},
+      {kGranule, kGranule + 1, Shortage::Memory, 3, 2},
+      {2, 2 * kGranule - 1, Shortage::Memory, 3, 2},
+  };
+  for (const Row& row : table) {
+    Publisher asker(7, stock(row.own, 0, row.own));
+    room.eviction.add(asker);
+    const Eviction::Step step = evict(row.need, row.shortage);
+    room.eviction.remove(asker);
+    REQUIRE(step.what == (row.keeps == 0 ? What::Nothing : What::Ask));
+    if (row.keeps == 0) continue;
+    CHECK(step.from == kOther);
+    CHECK(step.block == 0);
+    CHECK(step.request.shortage == row.shortage);
+    CHECK(step.request.keep == row.keeps);
+    CHECK(step.request.need == row.needs);
+  }
+
+  Publisher ours(1, stock(12 * kGranule - 1, 1));
+  room.eviction.add(ours);
+  CHECK(evict(kGranule, Shortage::Memory).what == What::Ask);
+  ours.has.held = 12 * kGranule;
+  CHECK(evict(kGranule, Shortage::Memory).what == What::Given);
+  CHECK(ours.asked == 1);
+  ours.has = stock(3, 1);
+  CHECK(evict(1, Shortage::Blocks).what == What::Ask);
+  ours.has = stock(4, 1);
+  CHECK(evict(1, Shortage::Blocks).what == What::Given);
 }
 
 TEST_SUITE_END();
