@@ -16,6 +16,7 @@
 #include <lot/describe.hpp>
 #include <lot/lot.hpp>
 
+#include "by_hand.hpp"
 #include "described.hpp"
 #include "description/wire.hpp"
 
@@ -541,6 +542,94 @@ TEST_CASE("the hashes of a description do not depend on how often a type is met,
   };
   CHECK(alike<Holder, Holder>() == kBoth);
   CHECK(alike<Around, named::Tree>().first == false);
+}
+
+TEST_CASE("the hashes of descriptions made by hand are these numbers, in every program") {
+  using by_hand::duration;
+  using by_hand::field;
+  using by_hand::kNone;
+  using by_hand::structure;
+  using by_hand::type;
+  struct Golden {
+    const char* what;
+    std::vector<Description::Type> types;
+    std::uint64_t layout, names;
+  };
+  const std::vector<Golden> all{
+      {"a number", {type(Kind::Int, 4)}, 0x6db266c0cb3deb14, 0xaf63bd4c29620a93},
+      {"an opaque type of seven letters",
+       {type(Kind::Opaque, 12, "Private")},
+       0xe9b1a96692eb9409,
+       0xaf63bd4c29620a93},
+      {"a name of eight letters",
+       {type(Kind::Opaque, 12, "Private8")},
+       0x60012458bff3179e,
+       0xaf63bd4c29620a93},
+      {"a name of nine letters, one beyond ASCII",
+       {type(Kind::Opaque, 12, "Privat9\xc3\xa9")},
+       0xcdd05f869191be15,
+       0xaf63bd4c29620a93},
+      {"an enum, whose name does not count",
+       {type(Kind::Enum, 4, "Colour", 1), type(Kind::Int, 4)},
+       0xdbab563234a71496,
+       0xd9506df2e4363726},
+      {"an array",
+       {type(Kind::Array, 12, "", 1, 3), type(Kind::Int, 4)},
+       0xe59a7c0769f024b3,
+       0xd9506df2e4363726},
+      {"a time point",
+       {type(Kind::TimePoint, 8, "system_clock", 1), duration(8, 2, 1, 1000000000),
+        type(Kind::Int, 8)},
+       0xa62bac5b308df4e8,
+       0x65ba6a2ca2674cb8},
+      {"a duration that counts backwards",
+       {duration(8, 1, -3, 7), type(Kind::Float, 8)},
+       0x17497c6801ce096a,
+       0xd9506df2e4363726},
+      {"a struct",
+       {structure("Point", 8, {field("x", 1, 0), field("y", 1, 4)}), type(Kind::Int, 4)},
+       0xa0d360ac3e2dc072,
+       0x6d3527846bfce3f2},
+      {"a field without a name",
+       {structure("Point", 8, {field("x", 1, 0), field("", 1, 4)}), type(Kind::Int, 4)},
+       0xa0d360ac3e2dc072,
+       0},
+      {"bit-fields",
+       {structure("Bits", 4, {field("low", 1, 0, 3, 0), field("high_part", 1, 1, 9, 5)}),
+        type(Kind::UInt, 4)},
+       0x547b72e306c8f92e,
+       0xda7a095d0652e943},
+      {"an empty struct", {structure("Empty", 1, {})}, 0xd2d8e24c0c9d72b3, 0xaf63bd4c29620a93},
+      {"strings in a vector",
+       {type(Kind::Vector, 32, "libstdc++", 1), type(Kind::String, 32, "libstdc++")},
+       0x02899110e88b904f,
+       0xd9506df2e4363726},
+      {"a list",
+       {structure("Node", 16, {field("next", 1, 0), field("value", 2, 8)}),
+        type(Kind::Reference, 8, "", 0), type(Kind::Int, 4)},
+       0x703583f8719a1f95,
+       0xee7e2a33a3c0f282},
+      {"a tree, seen from outside twice",
+       {structure("Holder", 80, {field("first", 1, 0), field("second", 1, 40)}),
+        structure("Tree", 40, {field("branches", 2, 0), field("number", 3, 32)}),
+        type(Kind::Vector, 32, "libstdc++", 1), type(Kind::Int, 4)},
+       0x2287b25401e563ea,
+       0xb4a582a68ac12ea2},
+      {"two that hold each other, and one of them again",
+       {structure("Left", 24, {field("right", 1, 0), field("again", 3, 8), field("self", 4, 16)}),
+        type(Kind::Reference, 8, "", 2),
+        structure("Right", 16, {field("left", 4, 0), field("right", 1, 8)}),
+        type(Kind::Reference, 8, "", 2), type(Kind::Reference, 8, "", 0)},
+       0xadaf2b8210c9c2e6,
+       0x6f29c3b7099fdaec},
+  };
+  for (const Golden& golden : all) {
+    CAPTURE(golden.what);
+    Description description;
+    description.types = golden.types;
+    CHECK(description.layout_hash() == golden.layout);
+    CHECK(description.names_hash() == golden.names);
+  }
 }
 
 }  // namespace
