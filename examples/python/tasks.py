@@ -52,7 +52,7 @@ def main():
     tasks, results = engine.queue('tasks', Task, redeliver=True), engine.queue('results', Result)
     for worker in workers:
         worker.start()
-    for number in range(TASKS + 1):
+    for number in range(TASKS):
         task = tasks.loan(number=number)
         task.samples = np.full(1000, number, np.float32)
         tasks.put(task)
@@ -61,6 +61,7 @@ def main():
         result = results.pop()
         means[result.number] = result.mean
         print(f'task {result.number}: {result.mean:g}, by worker {result.worker}', flush=True)
+    tasks.put(tasks.loan(number=TASKS))  # not before: the task of a dead worker needs a live one
     for worker in workers:
         worker.join()
     print(f'{sum(worker.exitcode == -signal.SIGKILL for worker in workers)} worker was killed, {len(means)} tasks are done')
