@@ -13,12 +13,13 @@ foreach(mistake IN LISTS PLANTS)
   foreach(run RANGE 1 10)
     math(EXPR its_seed "${seed} + ${run}")
     execute_process(COMMAND ${MODEL} --plant ${mistake} --seed ${its_seed} --steps 6000
-      TIMEOUT 60 RESULT_VARIABLE status OUTPUT_VARIABLE output ERROR_VARIABLE output)
+      TIMEOUT 100 RESULT_VARIABLE status OUTPUT_VARIABLE output ERROR_VARIABLE output)
     if(NOT status EQUAL 0)
       break()
     endif()
   endforeach()
-  # Memory that two containers have may end the program, or keep it busy, before it can compare.
+  # Memory that two containers have may end the program, or keep it busy until its own limit of time,
+  # before it can compare.
   if((status EQUAL 1 AND output MATCHES "DIFFERS in step ([^\n]*)") OR
       output MATCHES "(ERROR: AddressSanitizer: [^\n]*|runtime error: [^\n]*)")
     message(STATUS "${mistake}: found by run ${run}: ${CMAKE_MATCH_1}")
