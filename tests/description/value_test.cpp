@@ -18,6 +18,7 @@
 #include <span>
 #include <sstream>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -25,6 +26,7 @@
 
 #include <lot/lot.hpp>
 
+#include "by_hand.hpp"
 #include "description/containers.hpp"
 #include "readable.hpp"
 #include "support/error_of.hpp"
@@ -665,6 +667,438 @@ TEST_CASE("an AnyMessage shares a message, and gives it back as its type, and as
   CHECK(shared.use_count() == 1);
   const lot::AnyMessage null = lot::ShmSharedPtr<Frame>();
   CHECK(!null);
+}
+
+/// Bytes of this process, and a description of them that a test writes down.
+struct Hand {
+  explicit Hand(std::vector<by_hand::Type> types) { all.types = std::move(types); }
+  Value root() const { return {all, bytes, bytes, bytes + sizeof bytes}; }
+  void put(std::size_t at, std::uint64_t word) { std::memcpy(bytes + at, &word, sizeof word); }
+
+  lot::Description all;
+  alignas(16) unsigned char bytes[256] = {};
+};
+
+/// The text of what f throws.
+template <class F>
+std::string why_of(F&& f) {
+  return error_of(f).second;
+}
+
+TEST_CASE("a Value names the type of each kind, eight levels deep") {
+  using by_hand::type;
+  const auto name_of = [](const by_hand::Type& first, const by_hand::Type& second) {
+    return Hand({first, second}).root().type_name();
+  };
+  const by_hand::Type int16 = type(Kind::Int, 2);
+  CHECK(name_of(type(Kind::Bool, 1), int16) == "bool");
+  CHECK(name_of(type(Kind::Char, 1), int16) == "char");
+  CHECK(name_of(int16, int16) == "int16");
+  CHECK(name_of(type(Kind::UInt, 8), int16) == "uint64");
+  CHECK(name_of(type(Kind::Float, 4), int16) == "float32");
+  CHECK(name_of(type(Kind::Float, 8), int16) == "float64");
+  CHECK(name_of(type(Kind::Float, 9), int16) == "long double");
+  CHECK(name_of(type(Kind::Duration, 8), int16) == "duration");
+  CHECK(name_of(type(Kind::TimePoint, 8, "a_clock"), int16) == "time point of a_clock");
+  CHECK(name_of(type(Kind::Array, 6, "", 1, 3), int16) == "int16[3]");
+  CHECK(name_of(type(Kind::String, 40, "libc++"), int16) == "string");
+  CHECK(name_of(type(Kind::Vector, 32, "libc++", 1), int16) == "vector of int16");
+  CHECK(name_of(type(Kind::Reference, 32, "", 1), int16) == "reference to int16");
+  CHECK(name_of(type(Kind::Opaque, 4, "a::Secret"), int16) == "a::Secret");
+  CHECK(name_of(type(Kind::Enum, 4, "a::Mode"), int16) == "a::Mode");
+  CHECK(name_of(type(Kind::Struct, 4, "a::Point"), int16) == "a::Point");
+  CHECK(name_of(type(Kind::Array, 6, "", 2, 3), int16) == "?[3]");
+  CHECK(name_of(type(Kind::Array, 6, "", by_hand::kNone, 3), int16) == "?[3]");
+  CHECK(name_of(type(Kind::Array, 1, "", 0, 1), int16) == "?[1][1][1][1][1][1][1][1]");
+}
+
+TEST_CASE("an error lists twelve fields, and says how many more there are") {
+  const auto why = [](std::size_t fields) {
+    std::vector<by_hand::Field> all;
+    for (std::size_t i = 0; i < fields; ++i)
+      all.push_back(by_hand::field("f" + std::to_string(i), 1, i));
+    if (fields > 1) all[1].name = "";
+    const Hand hand({by_hand::structure("S", 20, all), by_hand::type(Kind::UInt, 1)});
+    return why_of([&] { (void)hand.root()["no"]; });
+  };
+  const std::string begin = "lot: message: there is no field \"no\" (Invalid argument); there are ";
+  const std::string most = "f0, _1, f2, f3, f4, f5, f6, f7, f8, f9, f10, f11";
+  CHECK(why(0) == begin + "no fields");
+  CHECK(why(1) == begin + "f0");
+  CHECK(why(11) == begin + most.substr(0, most.size() - 5));
+  CHECK(why(12) == begin + most);
+  CHECK(why(13) == begin + most + " and 1 more");
+  CHECK(why(15) == begin + most + " and 3 more");
+}
+
+TEST_CASE("a field is found by its name, or by its number where it has none") {
+  std::vector<by_hand::Field> fields;
+  for (std::size_t i = 0; i < 12; ++i) fields.push_back(by_hand::field("", 1, i));
+  fields[3].name = "three";
+  Hand hand({by_hand::structure("S", 12, fields), by_hand::type(Kind::UInt, 1)});
+  for (unsigned i = 0; i < 12; ++i) hand.bytes[i] = static_cast<unsigned char>(100 + i);
+  const Value root = hand.root();
+  CHECK(root["_0"].as<int>() == 100);
+  CHECK(root["_9"].as<int>() == 109);
+  CHECK(root["_10"].as<int>() == 110);
+  CHECK(root["_11"].as<int>() == 111);
+  CHECK(root["three"].as<int>() == 103);
+  for (const char* const name : {"", "_", "_12", "_01", "_00", "_010", "_1x", "_x", "_1.", "11",
+                                 "x1", "x11", "_-1", "_99999999999999999999", "thre"}) {
+    CAPTURE(name);
+    CHECK(!root.has(name));
+    CHECK(error_of([&] { (void)root[name]; }).first == EINVAL);
+  }
+  CHECK(root.has("_11"));
+  CHECK(!root["_1"].has("_0"));
+  CHECK(why_of([&] { (void)root[12]; }) ==
+        "lot: message: it has 12 fields, and no field 12 (Invalid argument)");
+  CHECK(root["three"].name() == "three");
+  CHECK(root[11].path() == "_11");
+  auto next = root.begin();
+  for (int i = 0; i < 11; ++i) ++next;
+  CHECK((*next).as<int>() == 111);
+  ++next;
+  CHECK(why_of([&] { (void)*next; }) ==
+        "lot: message: an iterator is behind its last field (Invalid argument)");
+}
+
+TEST_CASE("a path has names and whole numbers, and its parts have names") {
+  using by_hand::field;
+  using by_hand::type;
+  Hand hand({by_hand::structure("S", 8, {field("in", 1, 0), field("rows", 3, 4)}),
+             by_hand::structure("In", 4, {field("a", 2, 0), field("b", 2, 1)}), type(Kind::UInt, 1),
+             type(Kind::Array, 4, "", 2, 4)});
+  for (unsigned i = 0; i < 8; ++i) hand.bytes[i] = static_cast<unsigned char>(i + 1);
+  const Value root = hand.root();
+  CHECK(root.at("in.b").as<int>() == 2);
+  CHECK(root.at("rows[0]").as<int>() == 5);
+  CHECK(root.at("rows[3]").as<int>() == 8);
+  CHECK(root.at("in.b").name() == "b");
+  CHECK(root.at("in.b").path() == "in.b");
+  CHECK(root.at("rows[3]").name() == "[3]");
+  const auto why = [&](const char* path) { return why_of([&] { (void)root.at(path); }); };
+  const std::string advice = "\" (Invalid argument); a path looks like labels[2].name";
+  CHECK(why("rows[1x]") == "lot: rows: there is no number in [ ], in the path at \"[1x]" + advice);
+  CHECK(why("rows[]") == "lot: rows: there is no number in [ ], in the path at \"[]" + advice);
+  CHECK(why("rows[1") == "lot: rows: a ] is missing, in the path at \"[1" + advice);
+  CHECK(why("rows[1]x") == "lot: rows[1]: a . or [ is missing, in the path at \"x" + advice);
+  CHECK(why("in..a") == "lot: in: a name is missing, in the path at \".a" + advice);
+  CHECK(why("rows[4]") == "lot: rows: it has 4 elements, and no [4] (Invalid argument)");
+  CHECK(why("in[0]") == "lot: in: it is a In, and has no elements (Invalid argument)");
+  CHECK(root.at("in.a").size() == 0);
+  CHECK(root["rows"].size() == 4);
+  CHECK(why_of([&] { (void)root.as<int>(); }) ==
+        "lot: message: it is a S, and no number (Invalid argument)");
+  CHECK(why_of([&] { (void)root.as<std::string>(); }) ==
+        "lot: message: it is a S, and no string (Invalid argument)");
+}
+
+TEST_CASE("bit-fields are read at each bound, and what lies outside of the struct is not") {
+  const auto read = [](std::uint64_t size, std::uint64_t offset, std::uint32_t bits,
+                       std::uint32_t bit, std::uint64_t of = 8, Kind kind = Kind::UInt) {
+    Hand hand({by_hand::structure("S", size, {by_hand::field("f", 1, offset, bits, bit)}),
+               by_hand::type(kind, of)});
+    const unsigned char bytes[] = {0x81, 0x42, 0x24, 0x18, 0xff, 0x00, 0xa5, 0x5a, 0xc3};
+    std::memcpy(hand.bytes, bytes, sizeof bytes);
+    try {
+      return std::to_string(hand.root()[0].as<std::uint64_t>());
+    } catch (const lot::Error& e) {
+      return std::string(e.what());
+    }
+  };
+  const std::string outside =
+      "lot: message: its description has a field outside of the struct (Bad message); "
+      "end the process that writes into the segment where it should not";
+  CHECK(read(1, 0, 1, 0) == "1");
+  CHECK(read(1, 0, 1, 7) == "1");
+  CHECK(read(1, 0, 2, 6) == "2");
+  CHECK(read(1, 0, 8, 0) == "129");
+  CHECK(read(1, 0, 8, 1) == outside);
+  CHECK(read(1, 0, 2, 7) == outside);
+  CHECK(read(2, 0, 2, 7) == "1");
+  CHECK(read(2, 0, 9, 7) == "133");
+  CHECK(read(2, 0, 10, 7) == outside);
+  CHECK(read(2, 1, 8, 0) == "66");
+  CHECK(read(2, 2, 1, 0) == outside);
+  CHECK(read(2, 3, 1, 0) == outside);
+  CHECK(read(3, 0, 1, 8) == outside);
+  CHECK(read(8, 0, 64, 0) == std::to_string(0x5aa500ff18244281U));
+  CHECK(read(9, 0, 64, 7) == std::to_string((0x5aa500ff18244281U >> 7) | (0xc3ULL << 57)));
+  CHECK(read(8, 0, 64, 7) == outside);
+  CHECK(read(16, 0, 65, 0) == outside);
+  CHECK(read(8, 0, 0, 0) == std::to_string(0x5aa500ff18244281U));
+  CHECK(read(8, 1, 0, 0) == outside);
+  CHECK(read(7, 0, 0, 0) == outside);
+  CHECK(read(9, 8, 0, 0, 1) == "195");
+  CHECK(read(9, 9, 0, 0, 1) == outside);
+}
+
+TEST_CASE("a bit-field at the end of the segment is read, and none behind it") {
+  Hand hand({by_hand::structure("S", 2, {by_hand::field("f", 1, 1, 8, 0)}),
+             by_hand::type(Kind::UInt, 4)});
+  hand.bytes[1] = 7;
+  const Value value(hand.all, hand.bytes, hand.bytes, hand.bytes + 2);
+  CHECK(value["f"].as<int>() == 7);
+  const Value cut(hand.all, hand.bytes, hand.bytes, hand.bytes + 1);
+  CHECK(why_of([&] { (void)cut["f"]; }) ==
+        "lot: message: it lies outside of the segment (Bad message); "
+        "end the process that writes into the segment where it should not");
+  const Value before(hand.all, hand.bytes, hand.bytes + 1, hand.bytes + 3);
+  CHECK(error_of([&] { (void)before.size(); }).first == EBADMSG);
+}
+
+TEST_CASE("what lies in a bit-field of a struct has no bits of its own") {
+  Hand hand({by_hand::structure("S", 8, {by_hand::field("f", 1, 0, 3, 1)}),
+             by_hand::structure("In", 8, {by_hand::field("g", 2, 0)}), by_hand::type(Kind::UInt, 8),
+             by_hand::type(Kind::UInt, 1)});
+  hand.put(0, 0x1ff);
+  CHECK(hand.root()["f"]["g"].as<int>() == 0x1ff);
+  hand.all.types[1] = by_hand::type(Kind::Array, 8, "", 3, 8);
+  CHECK(hand.root()["f"][0].as<int>() == 0xff);
+  CHECK(hand.root()["f"][1].as<int>() == 1);
+}
+
+TEST_CASE("numbers of other sizes than a machine has are not read") {
+  using by_hand::type;
+  for (const std::uint64_t size : {0U, 3U, 5U, 6U, 7U, 9U, 16U}) {
+    const Hand hand({type(Kind::Int, size)});
+    CHECK(why_of([&] { (void)hand.root().as<int>(); }) ==
+          "lot: message: an integer of " + std::to_string(size) +
+              " bytes is not read (Invalid argument)");
+  }
+  for (const std::uint64_t size : {0U, 2U, 3U, 10U, 15U, 17U}) {
+    const Hand hand({type(Kind::Float, size)});
+    CHECK(why_of([&] { (void)hand.root().as<double>(); }) ==
+          "lot: message: a float of " + std::to_string(size) +
+              " bytes is not read (Invalid argument)");
+  }
+  Hand hand({type(Kind::Int, 1)});
+  hand.bytes[0] = 0xff;
+  for (const auto& [kind, size, number] :
+       {std::tuple(Kind::Int, 1, -1), std::tuple(Kind::Int, 2, 255), std::tuple(Kind::UInt, 1, 255),
+        std::tuple(Kind::Char, 1, int{static_cast<char>(0xff)})}) {
+    hand.all.types[0] = type(kind, static_cast<std::uint64_t>(size));
+    CHECK(hand.root().as<int>() == number);
+  }
+}
+
+TEST_CASE("an enum, a duration and a time point are of their number's size, three levels deep") {
+  using by_hand::type;
+  Hand hand({type(Kind::Enum, 4, "E", 1), type(Kind::Enum, 4, "E", 2), type(Kind::Enum, 4, "E", 3),
+             type(Kind::Int, 4), type(Kind::Enum, 4, "E", 0)});
+  hand.bytes[0] = 5;
+  CHECK(hand.root().as<int>() == 5);
+  hand.all.types[2].element = 4;
+  CHECK(why_of([&] { (void)hand.root().as<int>(); }) ==
+        "lot: message: it is a E, and no number (Invalid argument)");
+  hand.all.types[2].element = 3;
+  hand.all.types.push_back(type(Kind::Int, 4));
+  hand.all.types[3] = type(Kind::Enum, 4, "E", 5);
+  CHECK(error_of([&] { (void)hand.root().as<int>(); }).first == EINVAL);
+  hand.all.types[3] = type(Kind::Int, 8);
+  CHECK(why_of([&] { (void)hand.root().as<int>(); }) ==
+        "lot: message: its description is of another size (Bad message); "
+        "end the process that writes into the segment where it should not");
+  hand.all.types[2].element = 6;
+  CHECK(why_of([&] { (void)hand.root().as<int>(); }) ==
+        "lot: message: its description names a type that is not there (Bad message); "
+        "end the process that writes into the segment where it should not");
+}
+
+TEST_CASE("a duration has a period, and only a time point has a clock") {
+  Hand hand({by_hand::duration(8, 1, 1, 1000), by_hand::type(Kind::Int, 8)});
+  hand.put(0, 3000);
+  CHECK(hand.root().as<std::chrono::seconds>() == 3s);
+  for (const auto& [numerator, denominator] :
+       {std::pair(0, 1), std::pair(-1, 1), std::pair(1, 0), std::pair(1, -1), std::pair(-1, -1)}) {
+    hand.all.types[0] = by_hand::duration(8, 1, numerator, denominator);
+    CHECK(why_of([&] { (void)hand.root().as<std::chrono::seconds>(); }) ==
+          "lot: message: its description has no period (Bad message); "
+          "end the process that writes into the segment where it should not");
+  }
+  hand.all.types[0] = by_hand::duration(8, 1, 1, 1);
+  hand.all.types[0].name = "system_clock";
+  CHECK(why_of([&] { (void)hand.root().as<std::chrono::system_clock::time_point>(); }) ==
+        "lot: message: it is a duration, and no time point of system_clock (Invalid argument)");
+  CHECK(hand.root().as<std::chrono::seconds>() == 3000s);
+}
+
+TEST_CASE("an array has no more elements than fit, and a vector elements with a size") {
+  using by_hand::type;
+  const std::string more =
+      "lot: message: its description has more elements than fit (Bad message); "
+      "end the process that writes into the segment where it should not";
+  Hand hand({type(Kind::Array, 8, "", 1, 4), type(Kind::UInt, 2)});
+  CHECK(hand.root().size() == 4);
+  hand.all.types[0].size = 9;
+  CHECK(hand.root().size() == 4);
+  hand.all.types[0].size = 7;
+  CHECK(why_of([&] { (void)hand.root().size(); }) == more);
+  hand.all.types[0] = type(Kind::Array, 8, "", 1, 5);
+  CHECK(why_of([&] { (void)hand.root().size(); }) == more);
+  hand.all.types[1].size = 0;
+  hand.all.types[0].count = 0;
+  CHECK(why_of([&] { (void)hand.root().size(); }) == more);
+
+  hand.all.types = {type(Kind::Vector, 32, "libstdc++", 1), type(Kind::UInt, 2)};
+  hand.put(8, 64 - 8);
+  hand.put(16, 70 - 16);
+  CHECK(hand.root().size() == 3);
+  hand.put(16, 71 - 16);
+  CHECK(names(why_of([&] { (void)hand.root().size(); }), "its last element is not whole"));
+  hand.put(16, 62 - 16);
+  CHECK(names(why_of([&] { (void)hand.root().size(); }), "it ends before it begins"));
+  hand.put(8, 256 - 8);
+  hand.put(16, 256 - 16);
+  CHECK(hand.root().size() == 0);  // at the end of the segment
+  hand.put(16, 257 - 16);
+  CHECK(names(why_of([&] { (void)hand.root().size(); }), "it leads out of the segment"));
+  hand.put(8, lot::description::kNull);
+  hand.put(16, lot::description::kNull);
+  CHECK(hand.root().size() == 0);
+  hand.all.types[1].size = 0;
+  CHECK(names(why_of([&] { (void)hand.root().size(); }),
+              "its description has elements without a size"));
+  hand.all.types[1].size = 2;
+  for (const std::uint64_t size : {24U, 31U, 33U, 40U}) {
+    hand.all.types[0].size = size;
+    CHECK(why_of([&] { (void)hand.root().size(); }) ==
+          "lot: message: it is a vector of another library: libstdc++ (Invalid argument)");
+  }
+}
+
+TEST_CASE("a reference leads to its target, which has the size and the path of what it is") {
+  using by_hand::type;
+  Hand hand({by_hand::structure("S", 32, {by_hand::field("to", 1, 0)}),
+             type(Kind::Reference, 32, "", 2), type(Kind::Array, 4, "", 3, 4),
+             type(Kind::UInt, 1)});
+  hand.put(8, 64 - 8);
+  hand.bytes[66] = 9;
+  const Value to = hand.root()["to"];
+  CHECK(to.size() == 4);
+  CHECK(to[2].as<int>() == 9);
+  CHECK(to[2].path() == "to[2]");
+  CHECK(to.target().path() == "to");
+  CHECK(!to.is_null());
+  CHECK(to.target().address() == hand.bytes + 64);
+  CHECK(!hand.root().is_null());
+  hand.put(8, lot::description::kNull);
+  CHECK(to.is_null());
+  CHECK(!hand.root().is_null());
+  CHECK(why_of([&] { (void)to.target(); }) == "lot: to: it refers to nothing (Invalid argument)");
+  hand.all.types[1].size = 24;
+  CHECK(!to.is_null());
+  CHECK(why_of([&] { (void)to.target(); }) ==
+        "lot: to: its description is of another size (Bad message); "
+        "end the process that writes into the segment where it should not");
+  // One that leads to itself.
+  hand.all.types = {type(Kind::Reference, 32, "", 0)};
+  hand.put(8, std::uint64_t{0} - 8);
+  const auto [error, text] = error_of([&] { (void)hand.root().target(); });
+  CHECK(error == ELOOP);
+  CHECK(text ==
+        "lot: message: what it holds lies more than 64 levels deep (Too many levels of "
+        "symbolic links)");
+}
+
+TEST_CASE("strings have the size of their library's") {
+  using by_hand::type;
+  Hand hand({type(Kind::String, 40, "libstdc++")});
+  hand.put(8, 64 - 8);
+  hand.put(16, 5);
+  std::memcpy(hand.bytes + 64, "hello", 5);
+  CHECK(hand.root().as<std::string>() == "hello");
+  CHECK(hand.root().bytes().size() == 5);
+  const std::string outside =
+      "lot: message: its text does not lie in the segment (Bad message); "
+      "end the process that writes into the segment where it should not";
+  hand.put(16, 256 - 64);
+  CHECK(hand.root().size() == 192);
+  hand.put(16, 256 - 63);
+  CHECK(why_of([&] { (void)hand.root().size(); }) == outside);
+  hand.put(8, lot::description::kNull);
+  hand.put(16, 0);
+  CHECK(why_of([&] { (void)hand.root().size(); }) == outside);
+  for (const auto& [name, size] :
+       {std::pair("libstdc++", 32), std::pair("libc++", 40), std::pair("libstdc++", 41),
+        std::pair("other", 40), std::pair("other", 32)}) {
+    hand.all.types[0] = type(Kind::String, static_cast<std::uint64_t>(size), name);
+    CHECK(why_of([&] { (void)hand.root().size(); }) ==
+          "lot: message: it is a string of another library: " + std::string(name) +
+              " (Invalid argument)");
+  }
+}
+
+TEST_CASE("bytes are there of what lies in one piece, and is aligned") {
+  using by_hand::field;
+  using by_hand::type;
+  const auto why = [](const std::vector<by_hand::Type>& types) {
+    return why_of([&] { (void)Hand(types).root().bytes(); });
+  };
+  const by_hand::Type s = by_hand::structure("S", 80, {field("n", 2, 0), field("a", 1, 8)});
+  const by_hand::Type byte = type(Kind::UInt, 1);
+  const std::string refused =
+      "lot: message: a S does not lie in one piece (Invalid argument); look at its parts";
+  CHECK(why({s, byte, byte}) == "no error");
+  CHECK(why({s, type(Kind::Bool, 1), byte}) == "no error");
+  CHECK(why({s, type(Kind::Opaque, 4), byte}) == "no error");
+  CHECK(why({s, type(Kind::Array, 4, "", 2, 4), byte}) == "no error");
+  CHECK(why({s, type(Kind::Struct, 80, "T"), byte}) == "no error");
+  for (const Kind kind : {Kind::String, Kind::Vector, Kind::Reference}) {
+    CHECK(why({s, type(kind, 32, "libc++", 2), byte}) == refused);
+    CHECK(why({s, type(Kind::Array, 64, "", 3, 2), byte, type(kind, 32, "libc++", 2)}) == refused);
+  }
+  CHECK(why({by_hand::structure("S", 8, {field("n", 0, 0)})}) == "no error");  // has itself
+  CHECK(why({by_hand::structure("S", 8, {field("n", 9, 0)})}) ==
+        "lot: message: its description names a type that is not there (Bad message); "
+        "end the process that writes into the segment where it should not");
+  Hand bits({by_hand::structure("S", 8, {field("n", 1, 0, 3, 0)}), byte});
+  CHECK(why_of([&] { (void)bits.root()["n"].bytes(); }) ==
+        "lot: n: a uint8 does not lie in one piece (Invalid argument); look at its parts");
+
+  const auto at = [](std::uint64_t begin, std::uint64_t bytes,
+                     const std::vector<by_hand::Type>& elements) {
+    std::vector<by_hand::Type> types = {type(Kind::Vector, 32, "libc++", 1)};
+    types.insert(types.end(), elements.begin(), elements.end());
+    Hand hand(types);
+    hand.put(0, begin);
+    hand.put(8, begin + bytes - 8);
+    return why_of([&] { CHECK(hand.root().bytes().size() == bytes); });
+  };
+  const std::string crooked =
+      "lot: message: its elements are not aligned (Bad message); "
+      "end the process that writes into the segment where it should not";
+  CHECK(at(64, 8, {type(Kind::UInt, 4)}) == "no error");
+  CHECK(at(68, 8, {type(Kind::UInt, 4)}) == "no error");
+  CHECK(at(66, 8, {type(Kind::UInt, 4)}) == crooked);
+  CHECK(at(65, 8, {type(Kind::UInt, 4)}) == crooked);
+  CHECK(at(65, 8, {type(Kind::UInt, 1)}) == "no error");
+  CHECK(at(66, 12, {type(Kind::UInt, 6)}) == "no error");
+  CHECK(at(65, 12, {type(Kind::UInt, 6)}) == crooked);
+  CHECK(at(65, 8, {type(Kind::Struct, 8, "S")}) == "no error");
+  CHECK(at(65, 8, {type(Kind::Array, 8, "", 2, 8), type(Kind::UInt, 1)}) == "no error");
+  CHECK(at(65, 8, {type(Kind::Array, 8, "", 2, 4), type(Kind::UInt, 2)}) == crooked);
+  CHECK(at(66, 8, {type(Kind::Array, 8, "", 2, 4), type(Kind::UInt, 2)}) == "no error");
+  CHECK(at(66, 8, {type(Kind::Array, 8, "", 1, 1)}) ==
+        "lot: message: its description has no end (Bad message); "
+        "end the process that writes into the segment where it should not");
+  for (const std::uint32_t levels : {63U, 64U, 65U}) {
+    std::vector<by_hand::Type> deep;
+    for (std::uint32_t i = 0; i < levels; ++i) deep.push_back(type(Kind::Array, 8, "", i + 2, 1));
+    deep.push_back(type(Kind::UInt, 8));
+    CHECK(names(at(64, 8, deep), levels > 64 ? "has no end" : "no error"));
+  }
+}
+
+TEST_CASE("a char is as signed as the machine's, also in bits") {
+  Hand hand(
+      {by_hand::structure("S", 2, {by_hand::field("c", 1, 0), by_hand::field("b", 1, 1, 4, 0)}),
+       by_hand::type(Kind::Char, 1)});
+  hand.bytes[0] = 0x80;
+  hand.bytes[1] = 0xf8;
+  CHECK(hand.root()["c"].as<int>() == (std::numeric_limits<char>::is_signed ? -128 : 128));
+  CHECK(hand.root()["b"].as<int>() == (std::numeric_limits<char>::is_signed ? -8 : 8));
 }
 
 }  // namespace
