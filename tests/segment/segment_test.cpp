@@ -548,4 +548,80 @@ TEST_CASE("a run that the segment does not have is no error of the system") {
   CHECK(errno == 0);
 }
 
+TEST_CASE("each table lies behind the one before it, at a line, and the data at a granule") {
+  using namespace lot::segment;
+  for (const Capacity& c : {Capacity{6 << 20, 4, 64, 2, 3, 3}, Capacity{7 << 20, 3, 1, 1, 1, 1},
+                            Capacity{1 << 30, 320, 16384, 1024, 2048, 256}}) {
+    CAPTURE(c.size);
+    const auto lines = [](std::uint64_t bytes) { return (bytes + 63) / 64 * 64; };
+    const auto pages = [](std::uint64_t bytes) { return (bytes + 4095) / 4096 * 4096; };
+    const Geometry g = Geometry::of(c);
+    CHECK(g.participants == 4096);
+    CHECK(g.witnesses == g.participants + 64 * c.participants);
+    CHECK(g.directory == g.witnesses + 64 * c.participants);
+    CHECK(g.topics == g.directory + 192);
+    CHECK(g.channels == g.topics + 1216 * c.topics);
+    CHECK(g.blocks == g.channels + 64 * c.channels);
+    CHECK(g.arenas == g.blocks + 64 * c.blocks);
+    CHECK(g.tags == g.arenas + 256 * c.blocks);
+    CHECK(g.units == g.tags + lines(c.size / 4096 * 4));
+    CHECK(g.sightings == g.units + lines((c.size + kUnit - 1) / kUnit * 4));
+    CHECK(g.replies == g.sightings + lines(c.participants * sizeof(Sightings)));
+    CHECK(g.descriptions == g.replies + lines(80 * c.topics));
+    CHECK(g.listeners == g.descriptions + (1 << 20));
+    CHECK(g.ears == g.listeners + 64 * c.channels);
+    CHECK(g.news == g.ears + 64 * 512);
+    CHECK(g.small == pages(g.news + 512 * news_bytes(c.channels)));
+    CHECK(g.data == pages(g.small + 256 * c.blocks));
+    CHECK(g.granules == (c.size - g.data) / 4096);
+  }
+}
+
+TEST_CASE("each ear has words and news of its own, and a wait set gets the first that is free") {
+  LocalSegment local({6 << 20, 4, 64, 2, 3, 3});
+  auto& s = local.segment();
+  const auto geometry = lot::segment::Geometry::of(s.capacity());
+  for (const std::uint32_t e : {0U, 1U, 2U, 319U, 320U, 511U}) {
+    CHECK(s.offset_of(s.ear(e).words) == geometry.ears + e * 64);
+    CHECK(s.offset_of(s.ear(e).news) == geometry.news + e * 64);
+  }
+  for (std::uint32_t e = 320; e < 512; ++e) CHECK(s.claim_ear(e % 2) == e);
+  CHECK(s.claim_ear(1) == std::nullopt);
+  s.free_ears(1);
+  for (std::uint32_t e = 321; e < 512; e += 2) CHECK(s.claim_ear(2) == e);
+  CHECK(s.claim_ear(2) == std::nullopt);
+}
+
+TEST_CASE("a ring has depth only while each of its granules carries its tag") {
+  LocalSegment local({6 << 20, 4, 64, 2, 3, 3});
+  auto& s = local.segment();
+  const std::uint32_t tag = lot::segment::kRingTag | 1;
+  const std::uint32_t run = s.claim_run(3, tag);
+  auto& entry = s.channels()[1];
+  entry.depth = 1024;
+  entry.readers = 1;
+  entry.granule = run;
+  entry.granules = 3;
+  CHECK(s.unformed_ring(1).depth == 1024);
+  CHECK(s.ring(1).depth == 0);
+  for (std::uint32_t i = 0; i < 3; ++i) {
+    s.granules().release(run + i, 1);
+    const auto ring = s.unformed_ring(1);
+    CHECK(ring.depth == 0);
+    CHECK(ring.channel == 1);
+    CHECK(s.granules().extend(run + i, 1, tag));
+  }
+  CHECK(s.unformed_ring(1).depth == 1024);
+}
+
+TEST_CASE("of a segment that is not there no reason is left from a look before") {
+  using lot::segment::Segment;
+  std::string reason = "a reason";
+  CHECK(Segment::examine(file_of(fresh()), 0, {}, reason) == Segment::Fit::Absent);
+  CHECK(reason.empty());
+  reason = "a reason";
+  CHECK(Segment::inspect(file_of(fresh()), {}, reason) == Segment::Fit::Absent);
+  CHECK(reason.empty());
+}
+
 TEST_SUITE_END();
