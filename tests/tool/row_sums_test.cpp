@@ -2,13 +2,17 @@
 
 // What a row says of several queues, readers or processes, from numbers that the test makes up.
 
+#include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <string>
+#include <unistd.h>
 #include <utility>
 #include <vector>
 
 #include <doctest/doctest.h>
 
+#include "tool/report.hpp"
 #include "tool/rows.hpp"
 
 namespace {
@@ -58,6 +62,45 @@ Observation seen() {
   o.memory = {3 << 20, 64 << 20};
   o.blocks = {7, 512};
   return o;
+}
+
+/// What a report writes to standard output; each line ends in a blank. In text, its exit and its
+/// hints stand behind a bar.
+template <class F>
+std::string report_of(F&& fill, bool json = false) {
+  Settings settings;
+  settings.json = json;
+  Report report(settings);
+  fill(report);
+  std::fflush(stdout);
+  const int before = dup(STDOUT_FILENO);
+  std::FILE* const file = std::tmpfile();
+  REQUIRE(file != nullptr);
+  dup2(fileno(file), STDOUT_FILENO);
+  const Exit exit = report.finish();
+  dup2(before, STDOUT_FILENO);
+  close(before);
+  std::string all;
+  std::rewind(file);
+  for (int c; (c = std::fgetc(file)) != EOF;) all += static_cast<char>(c);
+  std::fclose(file);
+  std::replace(all.begin(), all.end(), '\n', ' ');
+  if (json) return all;
+  const bool has_hints = all.ends_with(' ') && all.find(" * ") != all.npos;
+  const std::size_t hints = has_hints ? all.find(" * ") : all.size();
+  return all.substr(0, hints) + "|" + std::to_string(exit) +
+         (has_hints ? all.substr(hints, all.size() - 1 - hints) : "");
+}
+
+std::string clean() { return "`lot clean --dir /nowhere --segment S`"; }
+
+/// What a report says of a segment in which this is seen.
+std::string judged(const Observation& o) {
+  const Sight sight{"S", "/nowhere/S", Sight::Condition::Sound, "", nullptr};
+  Json entry = Json::object();
+  const std::string text = report_of([&](Report& report) { judge(sight, o, report, entry); });
+  CHECK(entry == Json{{"damage", o.damage}});
+  return text;
 }
 
 }  // namespace
@@ -199,6 +242,95 @@ TEST_CASE("processes, publishers and what is used are told in a few words") {
         std::pair(How::Spare, "spare"), std::pair(static_cast<How>(99), "?")}) {
     CHECK(std::string(to_string(how)) == word);
   }
+}
+
+TEST_CASE("five queues are named with the items that wait, and the others counted") {
+  const auto told = [](const Waiting& items) {
+    return waiting_text(items) + " " + waiting_json(items).dump();
+  };
+  CHECK(told({}) == " []");
+  CHECK(told({{"jobs", 1}}) == R"(1 item waits in jobs [{"queue":"jobs","items":1}])");
+  CHECK(waiting_text({{"jobs", 12}, {"logs", 3}}) == "12 items wait in jobs, 3 in logs");
+  Waiting items = {{"a", 2}, {"b", 1}, {"c", 1}, {"d", 1}, {"e", 4}};
+  CHECK(waiting_text(items) == "2 items wait in a, 1 in b, 1 in c, 1 in d, 4 in e");
+  items["f"] = 5;
+  CHECK(waiting_text(items) ==
+        "2 items wait in a, 1 in b, 1 in c, 1 in d, 4 in e, 5 in other queues");
+  items["g"] = 6;
+  CHECK(waiting_text(items) ==
+        "2 items wait in a, 1 in b, 1 in c, 1 in d, 4 in e, 11 in other queues");
+  CHECK(waiting_text({{std::string(41, 'x'), 1}}) ==
+        "1 item waits in " + std::string(19, 'x') + ".." + std::string(19, 'x'));
+}
+
+TEST_CASE("the dead and what is damaged have a hint each, and the living have none") {
+  Observation o = seen();
+  CHECK(judged(o) == "|0");
+  o.processes.push_back({3, "worker", 13, 0, false, 0});
+  CHECK(judged(o) == "|1 * process 3 (worker) in S is dead: run " + clean());
+  o.processes.push_back({4, "other", 14, 0, false, 0});
+  CHECK(judged(o) == "|1 * process 3 (worker) in S is dead: run " + clean() +
+                         " * process 4 (other) in S is dead: run " + clean());
+  o = seen();
+  for (std::uint32_t k = 3; k < 13; ++k) o.processes.push_back({k, "worker", 13, 0, false, 0});
+  CHECK(judged(o) == "|1 * 10 processes (worker) in S are dead: run " + clean());
+  o = seen();
+  o.damage = {"one", "two"};
+  CHECK(judged(o) ==
+        "  damaged: one   damaged: two |3 * S is damaged: a process has written behind the end of "
+        "its messages; stop all that use it and run " +
+            clean());
+}
+
+TEST_CASE("a segment that is not looked into is introduced with the reason and what to do") {
+  const auto told = [](Sight::Condition condition) {
+    Sight sight{"S", "/nowhere/S", condition, "the reason", nullptr};
+    Json entry = Json::object();
+    const std::string text =
+        report_of([&](Report& report) { CHECK(!introduce(sight, report, entry)); });
+    CHECK(entry.dump() == std::string(R"({"name":"S","path":"/nowhere/S","condition":")") +
+                              to_string(condition) + R"(","reason":"the reason"})");
+    return text;
+  };
+  using Condition = Sight::Condition;
+  CHECK(told(Condition::OtherBoot) ==
+        "S  /nowhere/S   other boot: the reason |1 * S is of another boot: run " + clean());
+  CHECK(told(Condition::Unreadable) ==
+        "S  /nowhere/S   unreadable: the reason |1 * S can not be read: ask its owner, or look as "
+        "root: `lot ls --dir /nowhere --segment S`");
+  CHECK(told(Condition::Untrusted) ==
+        "S  /nowhere/S   not trusted: the reason |1 * S is not looked into: above stands why, and "
+        "what to set if you trust its users");
+  CHECK(told(Condition::Damaged) ==
+        "S  /nowhere/S   damaged: the reason |3 * S is damaged, cut short, or of another version: "
+        "stop what uses it and run " +
+            clean());
+}
+
+TEST_CASE("nothing found is told of a directory, or of the name in it") {
+  const auto told = [](const char* name) {
+    Settings settings;
+    settings.where.directory = "/nowhere";
+    settings.where.name = name;
+    return report_of([&](Report& report) { nothing_found(settings, report); });
+  };
+  CHECK(told("") == "no segments in /nowhere |1");
+  CHECK(told("S") == "no segment /nowhere/S |1");
+}
+
+TEST_CASE("a report ends as its gravest part, in text and in JSON") {
+  const auto fill = [](Report& report) {
+    report.print("text\n");
+    report.document()["name"] = "a\xff";
+    report.hint("first");
+    report.ends(kDamaged);
+    report.ends(kWrong);
+    report.hint("second");
+  };
+  CHECK(report_of(fill) == "text |3 * first * second");
+  CHECK(report_of(fill, true) ==
+        "{   \"name\": \"a\xef\xbf\xbd\",   \"hints\": [     \"first\",     \"second\"   ],   "
+        "\"exit\": 3 } ");
 }
 
 TEST_SUITE_END();

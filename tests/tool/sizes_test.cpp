@@ -10,9 +10,11 @@
 #include <array>
 #include <cerrno>
 #include <chrono>
+#include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -69,6 +71,43 @@ struct Timed {
   std::chrono::duration<double> since_1970;
   std::array<Stamp, 2> more;
   OwnClock::time_point own;
+};
+struct InParts {
+  Stamp time;
+};
+struct InOne {
+  std::chrono::nanoseconds time;
+};
+struct Secs {
+  std::int32_t secs, nsecs;
+};
+struct TvSec {
+  std::int64_t tv_sec, tv_nsec;
+};
+struct Seconds {
+  std::uint64_t seconds, nanoseconds;
+};
+struct Nanosec {
+  std::int32_t sec;
+  std::uint32_t nanosec;
+};
+struct SecondOne {
+  float sec;
+  std::uint32_t other;
+  std::uint32_t seconds;
+  float nsec;
+  std::uint32_t nanosec;
+};
+struct RestAlone {
+  std::uint32_t nsec;
+};
+struct Spellings {
+  Secs secs;
+  TvSec tv_sec;
+  Seconds seconds;
+  Nanosec nanosec;
+  SecondOne second_one;
+  RestAlone rest_alone;
 };
 
 }  // namespace sizes
@@ -273,6 +312,94 @@ TEST_CASE("a time behind a vector that is too short is refused in this message a
   message->laps.resize(2);
   message->laps[1].stamp = {1699999999, 0};
   CHECK(age() == 1s);
+}
+
+TEST_CASE("memory is the type alone from one byte above it to the end of its last granule") {
+  const std::tuple<std::uint64_t, std::uint64_t, std::uint64_t> kSizes[] = {
+      {0, 0, 0},          {256, 0, 256},       {255, 100, 255},     {256, 100, 100},
+      {257, 100, 257},    {4096, 100, 4096},   {256, 256, 256},     {4096, 256, 4096},
+      {257, 257, 257},    {256, 257, 256},     {258, 257, 257},     {4096, 257, 257},
+      {4097, 257, 4097},  {4096, 4095, 4095},  {4097, 4095, 4097},  {8192, 4095, 8192},
+      {4096, 4096, 4096}, {8192, 4096, 4096},  {8193, 4096, 8193},  {8192, 8191, 8191},
+      {8193, 8191, 8193}, {12288, 8192, 8192}, {12289, 8192, 12289}};
+  for (const auto& [memory, type, bytes] : kSizes) {
+    CAPTURE(memory);
+    CAPTURE(type);
+    CHECK(bytes_by_memory(memory, type) == bytes);
+  }
+}
+
+TEST_CASE("a field that has another type now is read as that type") {
+  Places here;
+  auto parts = here.engine.make<InParts>();
+  auto span = here.engine.make<InOne>();
+  parts->time = {4999, 999999999};
+  span->time = 4998s;
+  const auto now = now_at(1700000000s, 5000s);
+  TimeField field("time");
+  CHECK(field.clock() == TimeField::Clock::Unknown);
+  for (int k = 0; k < 2; ++k) {
+    field.begin(lot::describe<InParts>());
+    CHECK(field.clock() == TimeField::Clock::Unknown);
+    CHECK(field.age(lot::detail::value_of(lot::describe<InParts>(), parts.get()), now) == 1ns);
+    CHECK(field.clock() == TimeField::Clock::Steady);
+    field.begin(lot::describe<InOne>());
+    CHECK(field.clock() == TimeField::Clock::Unknown);
+    CHECK(field.age(lot::detail::value_of(lot::describe<InOne>(), span.get()), now) == 2s);
+  }
+}
+
+TEST_CASE("seconds and nanoseconds have five names each, and are whole numbers") {
+  Places here;
+  auto message = here.engine.make<Spellings>();
+  message->secs = {4000, 5};
+  message->tv_sec = {4001, 6};
+  message->seconds = {4002, 7};
+  message->nanosec = {4003, 8};
+  message->second_one = {1.5F, 9, 4004, 1.5F, 10};
+  const auto age = [&](const std::string& path) {
+    TimeField field(path);
+    field.begin(lot::describe<Spellings>());
+    return field.age(lot::detail::value_of(lot::describe<Spellings>(), message.get()),
+                     now_at(1700000000s, 5000s));
+  };
+  CHECK(age("secs") == 1000s - 5ns);
+  CHECK(age("tv_sec") == 999s - 6ns);
+  CHECK(age("seconds") == 998s - 7ns);
+  CHECK(age("nanosec") == 997s - 8ns);
+  CHECK(age("second_one") == 996s - 10ns);
+  const auto [number, text] = error_of([&] { (void)age("rest_alone"); });
+  CHECK(number == EINVAL);
+  CHECK(text ==
+        "lot: --field rest_alone: it is no time (Invalid argument); name a time point, a duration, "
+        "or a struct of sec and nsec");
+}
+
+TEST_CASE("the nearer clock is told to the nanosecond, and any number is a time or none") {
+  Places here;
+  auto message = here.engine.make<Timed>();
+  const auto age = [&](const char* path, TimeField::Clock clock) {
+    TimeField field(path);
+    field.begin(lot::describe<Timed>());
+    const auto found = field.age(lot::detail::value_of(lot::describe<Timed>(), message.get()),
+                                 now_at(9000s, 5000s));
+    CHECK(field.clock() == clock);
+    return found;
+  };
+  using Clock = TimeField::Clock;
+  message->since_boot = 7000s - 1ns;
+  CHECK(age("since_boot", Clock::Steady) == 1ns - 2000s);
+  message->since_boot = 7000s;  // as far from both
+  CHECK(age("since_boot", Clock::System) == 2000s);
+  message->since_boot = 7000s + 1ns;
+  CHECK(age("since_boot", Clock::System) == 2000s - 1ns);
+  message->since_1970 = std::chrono::duration<double>(std::nan(""));
+  CHECK(!age("since_1970", Clock::Unknown));
+  constexpr std::chrono::nanoseconds kMost(std::int64_t{1} << 62);
+  message->since_1970 = std::chrono::duration<double>(1e300);
+  CHECK(age("since_1970", Clock::System) == 9000s - kMost);
+  message->since_1970 = std::chrono::duration<double>(-1e300);
+  CHECK(age("since_1970", Clock::Steady) == 5000s + kMost);
 }
 
 TEST_SUITE_END();

@@ -26,6 +26,7 @@
 
 #include "description/readable.hpp"
 #include "support/error_of.hpp"
+#include "tool/documents.hpp"
 
 namespace {
 
@@ -582,6 +583,45 @@ TEST_CASE("YAML that does not fit a message is an error that names the path and 
   CHECK(names(why("{letter: ab}"), "lot: letter: it is a char, and the YAML has \"ab\""));
   CHECK(names(why("{letter: \"12\"}"), "write one character of ASCII, in quotes, or without"));
   CHECK(names(why("{letter: [1]}"), "write one character of ASCII, in quotes, or without"));
+}
+
+TEST_CASE("a YAML text is cut into documents, each of which knows its line") {
+  const auto told = [](const std::string& text) {
+    lot::tool::Documents documents(text);
+    std::string all;
+    CHECK(documents.line() == 1);
+    while (const auto node = documents.next(lot::StopToken())) {
+      all += std::to_string(documents.count()) + "@" + std::to_string(documents.line()) + ":" +
+             YAML::Dump(*node) + ";";
+    }
+    return all;
+  };
+  CHECK(told("") == "");
+  CHECK(told("\n# nothing\n") == "");
+  CHECK(told("---\n...\n---\n") == "");
+  CHECK(told("7") == "1@1:7;");
+  CHECK(told("7\n---\n8\n") == "1@1:7;2@3:8;");
+  CHECK(told("---\n7\n---\n8\n...\n9") == "1@2:7;2@4:8;3@6:9;");
+  CHECK(told("--- 7\n--- 8\n") == "1@1:7;2@2:8;");
+  CHECK(told("---\t7\n---\r\n8") == "1@1:7;2@3:8;");
+  CHECK(told("# one\n---\n7\n") == "1@3:7;");
+  CHECK(told("%YAML 1.2\n---\n7\n...\n%YAML 1.2\n---\n8\n") == "1@3:7;2@7:8;");
+  CHECK(told("\n\n \n7\n---\n\n---\n8\n") == "1@4:7;2@8:8;");
+  CHECK(told("---7\n") == "1@1:---7;");
+  CHECK(told("~\n---\n8\n") == "1@3:8;");
+}
+
+TEST_CASE("what is no YAML is told with its line and column, behind the documents before it") {
+  lot::tool::Documents documents("7\n---\n\n{x: 1\n---\n8\n");
+  CHECK(documents.next(lot::StopToken())->as<int>() == 7);
+  const auto [number, text] = error_of([&] { (void)documents.next(lot::StopToken()); });
+  CHECK(number == EINVAL);
+  CHECK(names(text, "lot: the YAML: line 5, column 1: "));
+  CHECK(names(text, "; quote it from the shell: lot pub TOPIC '{x: 1, name: left}'"));
+  lot::tool::Documents deep(std::string(100000, '['));
+  const auto error = error_of([&] { (void)deep.next(lot::StopToken()); });
+  CHECK(error.first == EINVAL);
+  CHECK(names(error.second, " deep in each other (Invalid argument); no message is as deep"));
 }
 
 }  // namespace
