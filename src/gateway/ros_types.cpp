@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "lot/description.hpp"
+#include "lot/error.hpp"
 
 #include "gateway/names.hpp"
 #include "record/schema_text.hpp"
@@ -229,10 +230,12 @@ AnyType type_of_ros(const std::string& dds_type) {
       name_in_cpp(found->name), made.align, kNoIdentity, std::move(made.description)));
 }
 
-bool is_as_in_ros(const std::string& dds_type, const std::string& msg) {
+bool is_as_in_ros(const std::string& dds_type, const std::string& msg) try {
   const Definition* const found = find(dds_type);
   return found == nullptr ||
          bytes_of(found->name, msg) == bytes_of(found->name, schema_with_all(*found));
+} catch (const Error&) {
+  return false;  // the text is no `.msg`
 }
 
 }  // namespace lot::gateway

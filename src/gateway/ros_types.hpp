@@ -18,7 +18,7 @@ bool is_ros_type(const std::string& dds_type);
 AnyType type_of_ros(const std::string& dds_type);
 /// Whether a message with that name in DDS and that `.msg` has the bytes and, but for capitals, the
 /// names of fields of the common message that is called so. True: it has, or it is none of them.
-/// Throws std::bad_alloc, and lot::Error (EINVAL) for a text that is no `.msg`.
+/// Throws std::bad_alloc.
 bool is_as_in_ros(const std::string& dds_type, const std::string& msg);
 
 }  // namespace lot::gateway

@@ -161,6 +161,7 @@ TEST_CASE("a message that is called as one of ROS 2 and has other fields is foun
   CHECK_FALSE(is_twist("Vector3 linear\n" + vector));
   CHECK_FALSE(is_twist("Vector3 linear\nVector3 angular\nbool valid\n" + vector));
   CHECK_FALSE(is_twist("float64 linear\nfloat64 angular\n"));
+  CHECK_FALSE(is_twist("Vector4 linear\n"));  // whose type is not in the text
   CHECK_FALSE(
       is_twist("Vector3 linear\nVector3 angular\n===\nMSG: geometry_msgs/Vector3\n"
                "float32 x\nfloat64 y\nfloat64 z\n"));
@@ -170,7 +171,7 @@ TEST_CASE("a message that is called as one of ROS 2 and has other fields is foun
   CHECK(is_as_in_ros(dds_type_of("std_msgs/msg/Byte"), "int8 data\n"));
   CHECK_FALSE(is_as_in_ros(dds_type_of("std_msgs/msg/Bool"), "int16 data\n"));
   CHECK_FALSE(is_as_in_ros(dds_type_of("std_msgs/msg/UInt16"), "int16 data\n"));
-  // Whose fields nobody knows.
+  // The gateway knows no fields of these.
   CHECK(is_as_in_ros(dds_type_of("robot/msg/Twist"), "float64 data\n"));
   CHECK(is_as_in_ros(dds_type_of("sensor_msgs/msg/Range"), "float64 data\n"));
 }
