@@ -1053,7 +1053,7 @@ class Settings(Case):
         for queue, first in ('mutex', '0.0625G'), ('ring', 64 << 20), ('mutex', '65536K'), ('ring', '64M'):
             with self.subTest(queue=queue, first=first), Graph() as graph:
                 graph.env.pop('LOT_SEGMENT')
-                for node, size in ('listener', first), ('talker', '128M'):  # who comes first makes it
+                for node, size in ('listener', first), ('talker', '128M'):  # the first one makes the segment
                     graph.set_parameter(f'/{node}/lot/segment', graph.segment + '_own')
                     graph.set_parameter(f'/{node}/lot/size', size)
                 graph.set_parameter('/talker/lot/queue', queue)

@@ -44,7 +44,7 @@ class Neighbour {
     must(ready_.next() == '.', "the neighbour has joined");
   }
 
-  /// Leaves; how often its own calls have reaped somebody, -1 when it failed. Its warden reaps,
+  /// Leaves; how often its own calls have reaped a process, -1 when it failed. Its warden reaps,
   /// too, and is not counted.
   int leave() {
     done_.tell();

@@ -97,7 +97,7 @@ TEST_CASE("when two types are the same to pointers") {
       {described({"x", "y"}), described({"y", "x"}), false},
       {described({"x", "y"}), described({"x", "y"}, Kind::Float), false},
       {described({"x", "y"}), described({"x"}), false},
-      // Of one who knows no names, or not all, those that both know must be the same.
+      // Of a type without names, or without some, those that both have must be the same.
       {described({"x", "y"}), described({"", ""}), true},
       {described({"", ""}), described({"", ""}), true},
       {described({"x", "y"}), described({"x", ""}), true},

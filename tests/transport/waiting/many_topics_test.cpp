@@ -415,7 +415,7 @@ TEST_CASE_FIXTURE(Fixture, "a set finds new rings when another process lets go o
       must(go.next(100s) != 0, "it may let go");
     }
     told.tell();
-    must(go.next(100s) != 0, "it may leave, which wakes who looks for a ring");
+    must(go.next(100s) != 0, "it may leave, which wakes each reader that looks for a ring");
   });
   lot::ShmEngine shm(options);
   auto in = pullers(shm);
