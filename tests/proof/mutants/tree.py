@@ -274,6 +274,8 @@ class Tree:
         if not (self.objects / 'build.ninja').exists():
             self.log('configure the mutated tree')
             self.configure(self.tree, self.objects, SETTINGS)
+        else:  # again, if a test has come since
+            subprocess.run(['ninja', '-C', self.objects, 'build.ninja'], stdout=subprocess.DEVNULL, check=True)
 
     def targets_of(self, tests):
         """What must be built for these tests."""
