@@ -365,3 +365,135 @@ TEST_CASE("the first field that differs is told, as each side has it") {
   CHECK(first_difference(lot::describe<Node>(), lot::describe<Node>()).empty());
   CHECK(is_equal(inner, inner));
 }
+
+// ---- limits, to the byte
+
+/// A number as the first type, and behind it types that nothing leads to: one of `levels` structs
+/// in each other, each with one field, and `leaf` in the last one.
+Description beside(std::size_t levels, const Description::Type& leaf, bool upside_down) {
+  Description d{{typed(Kind::UInt, 8)}};
+  const auto place = [&](std::size_t level) {
+    return static_cast<std::uint32_t>(upside_down ? levels + 1 - level : level + 1);
+  };
+  d.types.resize(levels + 2);
+  for (std::size_t level = 0; level < levels; ++level) {
+    d.types[place(level)] = typed(Kind::Struct, 64);
+    d.types[place(level)].fields = {{"", place(level + 1), 0, 0, 0}};
+  }
+  d.types[place(levels)] = leaf;
+  return d;
+}
+
+TEST_CASE("types lie in each other sixteen deep, also those that nothing leads to") {
+  const auto good = [](const Description& d) {
+    const bool is_good = decode(raw(d)).has_value();
+    CHECK(encode(d).empty() == !is_good);
+    return is_good;
+  };
+  for (const bool upside_down : {false, true}) {
+    CAPTURE(upside_down);
+    for (const std::size_t levels : {1U, 15U, 16U, 17U, 18U, 19U}) {
+      CAPTURE(levels);
+      CHECK(good(beside(levels, typed(Kind::UInt, 8), upside_down)) == (levels <= 16));
+      for (const Kind kind : {Kind::String, Kind::Vector, Kind::Reference, Kind::Opaque}) {
+        CAPTURE(static_cast<int>(kind));
+        // What it holds lies elsewhere, and is no level.
+        Description d = beside(levels, typed(kind, 32), upside_down);
+        d.types[upside_down ? 1 : levels + 1].element = static_cast<std::uint32_t>(levels + 2);
+        d.types.push_back(typed(Kind::Char, 1));
+        CHECK(good(d) == (levels <= 16));
+      }
+      // An array's elements lie in it.
+      Description d = beside(levels, typed(Kind::Array, 8), upside_down);
+      d.types[upside_down ? 1 : levels + 1].element = 0;
+      d.types[upside_down ? 1 : levels + 1].count = 1;
+      CHECK(good(d) == (levels <= 15));
+    }
+  }
+  Description within{{typed(Kind::UInt, 8), typed(Kind::Array, 8)}};
+  within.types[1].element = 1;
+  within.types[1].count = 1;
+  CHECK(!good(within));
+  within.types[1].kind = Kind::Vector;
+  within.types[1].count = 0;
+  CHECK(good(within));
+}
+
+TEST_CASE("a walk over a type has 65536 steps at most") {
+  const auto good = [](std::size_t more) {
+    Description d{{typed(Kind::UInt, 8)}};
+    for (std::uint32_t i = 0; i < 15; ++i) {
+      d.types.push_back(typed(Kind::Struct, 8));
+      d.types.back().fields = {{"", i, 0, 0, 0}, {"", i, 0, 0, 0}};
+    }
+    d.types.push_back(typed(Kind::Struct, 8));
+    d.types.back().fields = {{"", 15, 0, 0, 0}};
+    for (std::size_t i = 0; i < more; ++i) d.types.back().fields.push_back({"", 0, 0, 0, 0});
+    return decode(raw(d)).has_value();
+  };
+  CHECK(good(0));  // 1 and 65535
+  CHECK(!good(1));
+  CHECK(!good(2));
+}
+
+TEST_CASE("a description has 16 KiB at most, to the byte") {
+  Description d{{typed(Kind::Struct, 8)}};
+  d.types[0].name = std::string(16'000, 'x');
+  const std::size_t beside = raw(d).size() - 16'000;
+  d.types[0].name = std::string(lot::description::kMostBytes - beside, 'x');
+  REQUIRE(raw(d).size() == 16384);
+  CHECK(encode(d) == raw(d));
+  CHECK(decode(raw(d)));
+  d.types[0].name += 'x';
+  CHECK(encode(d).empty());
+  CHECK_FALSE(decode(raw(d)));
+}
+
+TEST_CASE("sizes end at 2 to the power of 48") {
+  constexpr std::uint64_t kMost = std::uint64_t{1} << 48;
+  for (const Kind kind : {Kind::Struct, Kind::Opaque}) {
+    for (const std::uint64_t size : {kMost - 1, kMost, kMost + 1, kMost + 2}) {
+      CHECK(decode(raw({{typed(kind, size)}})).has_value() == (size <= kMost));
+    }
+  }
+}
+
+TEST_CASE("fields without names take five bytes each, and nothing but a struct has some") {
+  Description d{{typed(Kind::UInt, 8), typed(Kind::Struct, 8)}};
+  for (std::size_t n = 0; n < 40; ++n) {
+    const auto back = decode(raw(d));
+    REQUIRE(back);
+    CHECK(back->types[1].fields.size() == n);
+    d.types[1].fields.push_back({"", 0, 0, 0, 0});
+  }
+  for (const Kind kind : {Kind::UInt, Kind::Opaque, Kind::Float, Kind::Bool}) {
+    const std::uint64_t size = kind == Kind::Bool ? 1 : 8;
+    Description other{{typed(Kind::UInt, 8), typed(kind, size), typed(Kind::UInt, 1)}};
+    CHECK(decode(raw(other)));
+    other.types[1].fields = {{"", 2, 0, 0, 0}};
+    CHECK_FALSE(decode(raw(other)));
+  }
+}
+
+TEST_CASE("bits lie in a number of their own size or an enum, and begin in their first byte") {
+  const auto good = [](const Description::Type& type, std::uint64_t offset, std::uint32_t bit,
+                       std::uint32_t bits) {
+    Description d{{typed(Kind::Struct, 8), type, typed(Kind::UInt, 1)}};
+    d.types[0].fields = {{"f", 1, offset, bit, bits}};
+    return decode(raw(d)).has_value();
+  };
+  const auto byte = typed(Kind::UInt, 1);
+  CHECK(good(byte, 0, 7, 1));
+  CHECK(good(byte, 0, 7, 8));
+  CHECK(!good(byte, 0, 8, 1));
+  CHECK(!good(byte, 0, 0, 9));  // more than the number has
+  CHECK(!good(byte, 0, 7, 9));
+  CHECK(good(typed(Kind::UInt, 2), 0, 0, 16));
+  CHECK(!good(typed(Kind::UInt, 2), 0, 0, 17));
+  CHECK(good(byte, 7, 0, 1));
+  for (const std::uint64_t offset : {8U, 9U, 10U, 100U}) CHECK(!good(byte, offset, 0, 1));
+  auto mode = typed(Kind::Enum, 1);
+  mode.element = 2;
+  CHECK(good(mode, 3, 2, 5));
+  CHECK(!good(mode, 3, 0, 9));
+}
