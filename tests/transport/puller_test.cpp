@@ -400,8 +400,7 @@ TEST_CASE_FIXTURE(Fixture, "a puller that holds all it may is told of an error a
   CHECK(pull<Large>(*core) == Found{Status::HoldsTooMuch, 0, 0});
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "a puller that holds all it may hears once that its publisher has gone") {
+TEST_CASE_FIXTURE(Fixture, "a puller that holds all it may hears once that its publisher went") {
   for (const bool waits : {false, true}) {
     CAPTURE(waits);
     const auto limit = [&] { return waits ? Limit::forever({}) : Limit::now(); };
@@ -443,8 +442,7 @@ TEST_CASE_FIXTURE(Fixture, "what counts as held is a message's memory, and not i
   CHECK(held.size() == 2);
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "the memory of a borrowed message is its slot, its block or its granules") {
+TEST_CASE_FIXTURE(Fixture, "a borrowed message has the memory of a slot, a block or granules") {
   const auto memory = [&](auto message, const PusherOptions& how) {
     using T = decltype(message);
     const Core core = subscribe<T>({}, Delivery::ToAll, nullptr, "/memory");
@@ -1130,8 +1128,7 @@ TEST_CASE_FIXTURE(Fixture, "the envelope stays when its own ring goes first") {
   }
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "a worker's claim names the item, and only a claim that fits changes it") {
+TEST_CASE_FIXTURE(Fixture, "a claim names its item, and only a claim that fits changes one") {
   auto queue = engine.queue<Number>("/tasks", tasks());
   const auto& type = lot::detail::task_type<Number>();
   const Core core = lot::transport::make_ring_puller(participant, "/tasks", type, {},
@@ -1194,8 +1191,7 @@ TEST_CASE_FIXTURE(Fixture,
   CHECK(core->size() == 0);
 }
 
-TEST_CASE_FIXTURE(Fixture,
-                  "items that have come back are found first, in whichever ring they are") {
+TEST_CASE_FIXTURE(Fixture, "items that have come back are found first, whatever their ring") {
   std::vector<lot::ShmQueue<Number>> queues;
   for (int q = 0; q < 3; ++q) queues.push_back(engine.queue<Number>("/tasks", tasks()));
   auto worker = engine.queue<Number>("/tasks", tasks());

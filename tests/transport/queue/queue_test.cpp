@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 // ShmQueue: each kind of item, each way to put and to pop, what is left behind. Both engines.
 #include <atomic>
+#include <cerrno>
 #include <functional>
 #include <memory>
 #include <optional>
+#include <poll.h>
 #include <set>
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <doctest/doctest.h>
@@ -766,6 +769,340 @@ TEST_CASE_FIXTURE(Fixture, "a bad depth and another type are said when the queue
   CHECK_THROWS_WITH_AS((void)shm.queue<Point>("q", none), doctest::Contains("depth 0"), lot::Error);
   auto points = shm.queue<Point>("q");
   CHECK_THROWS_AS((void)shm.queue<Task>("q"), lot::Error);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a queue is made as its options say, for each kind of item") {
+  lot::ShmEngine shm(options);
+  lot::segment::Segment segment(shm.path());
+  struct Made {
+    std::uint32_t depth, policy, engine, taken;
+    bool in_slots;
+    bool operator==(const Made&) const = default;
+  };
+  const auto made = [&](auto& queue) {
+    must_go(queue.emplace());
+    for (std::uint32_t c = 0; c < segment.capacity().channels; ++c) {
+      const auto& channel = segment.channels()[c];
+      if (lot::ring::writer_state(channel.writer.load()) != lot::ring::State::Live) continue;
+      return Made{channel.depth, channel.policy, channel.engine, channel.taken,
+                  segment.ring(c).in_slots()};
+    }
+    throw std::runtime_error("there is none");
+  };
+  const auto block = static_cast<std::uint32_t>(Policy::Block);
+  const auto refuse = static_cast<std::uint32_t>(Policy::Refuse);
+  for (const QueueEngine engine : kEngines) {
+    CAPTURE(static_cast<int>(engine));
+    const auto kind = static_cast<std::uint32_t>(engine);
+    auto how = with(engine, 7, Policy::Refuse);
+    for (const bool fast : {true, false}) {
+      CAPTURE(fast);
+      how.fast_lane = fast;
+      {
+        auto queue = shm.queue<Point>("q", how);
+        CHECK(made(queue) == Made{7, refuse, kind, 1, fast});
+        CHECK(queue.capacity() == 7);
+        CHECK(queue.try_pop());
+      }
+      {
+        how.redeliver = true;
+        auto queue = shm.queue<Point>("q", how);
+        CHECK(made(queue) == Made{7, refuse, kind, 2, fast});
+        queue.try_take().finish();
+        how.redeliver = false;
+      }
+      CHECK(eventually([&] { return Audit(segment).nothing(); }));
+    }
+  }
+  {
+    auto queue = shm.queue<Point>("q");
+    CHECK(made(queue) == Made{64, block, static_cast<std::uint32_t>(QueueEngine::Ring), 1, true});
+    CHECK(queue.try_pop());
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "what a queue refuses when it is made, it says in full") {
+  lot::ShmEngine shm(options);
+  auto how = with(QueueEngine::Ring, 4, Policy::Overwrite);
+  how.redeliver = true;
+  const auto refused = [](auto&& make) {
+    try {
+      make();
+    } catch (const lot::Error& e) {
+      return std::pair{e.error_number(), std::string(e.what())};
+    }
+    return std::pair{0, std::string()};
+  };
+  const std::pair over{
+      EINVAL,
+      std::string(lot::Error(EINVAL, "q", "a queue that redelivers cannot overwrite its items",
+                             "use Policy::Block or Policy::Refuse")
+                      .what())};
+  CHECK(refused([&] { (void)shm.queue<Point>("q", how); }) == over);
+  for (const Policy policy : {Policy::Block, Policy::Refuse}) {
+    how.policy = policy;
+    CHECK(refused([&] { (void)shm.queue<Point>("q", how); }).first == 0);
+    CHECK(refused([&] { (void)shm.queue<lot::ShmUniquePtr<Task>>("p", how); }).first == 0);
+    const auto shared = refused([&] { (void)shm.queue<lot::ShmSharedPtr<const Task>>("v", how); });
+    CHECK(shared.first == EINVAL);
+  }
+  how.redeliver = false;
+  how.policy = Policy::Overwrite;
+  CHECK(refused([&] { (void)shm.queue<Point>("q", how); }).first == 0);
+  {
+    // What is popped is not taken, and the other way round.
+    auto pops = shm.queue<Point>("pops");
+    CHECK(refused([&] { (void)pops.try_take(); }) ==
+          std::pair{EINVAL,
+                    std::string(lot::Error(EINVAL, "pops",
+                                           "the queue was made without QueueOptions::redeliver",
+                                           "pop its items, or set redeliver in each process that "
+                                           "uses it")
+                                    .what())});
+    how.redeliver = true;
+    how.policy = Policy::Block;
+    auto takes = shm.queue<Point>("takes", how);
+    CHECK(refused([&] { (void)takes.try_pop(); }) ==
+          std::pair{EINVAL,
+                    std::string(lot::Error(EINVAL, "takes",
+                                           "an item of a queue that redelivers cannot be popped",
+                                           "wait_and_take() it, and finish() it when it is done")
+                                    .what())});
+    // A handle that redelivers and one that does not never meet: their types differ by name.
+    const auto other = refused([&] { (void)shm.queue<Point>("takes"); });
+    CHECK(other.first == EPROTOTYPE);
+    CHECK(other.second.find("ShmQueue with redelivery of ") != std::string::npos);
+    CHECK(other.second.find("ShmQueue of ") != std::string::npos);
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a ShmTask that is moved, assigned, finished or given back") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto how = with(engine, 8);
+    how.redeliver = true;
+    auto queue = shm.queue<Point>("tasks", how);
+    for (int n = 1; n <= 3; ++n) REQUIRE(queue.put({1.0 * n, 0}) == Status::Ok);
+    lot::ShmTask<Point> none;
+    CHECK(!none);
+    CHECK(none.get() == nullptr);
+    CHECK(none.deliveries() == 0);
+    none.finish();
+    none.give_back();
+
+    auto one = queue.try_take();
+    REQUIRE(one);
+    CHECK(one.get()->x == 1);
+    CHECK((*one).x == 1);
+    CHECK(one->x == 1);
+    CHECK(one.deliveries() == 1);
+    lot::ShmTask<Point> moved(std::move(one));
+    CHECK(!one);  // NOLINT: what is left of it
+    CHECK(one.get() == nullptr);
+    CHECK(one.deliveries() == 0);
+    CHECK(moved->x == 1);
+    CHECK(queue.size() == 2);
+    // Assigned to itself it stays.
+    auto& same = moved;
+    moved = std::move(same);
+    REQUIRE(moved);
+    CHECK(moved->x == 1);
+    CHECK(queue.size() == 2);
+    // Another one in its place: the first is given back.
+    auto two = queue.try_take();
+    REQUIRE(two);
+    CHECK(two->x == 2);
+    moved = std::move(two);
+    CHECK(!two);  // NOLINT: what is left of it
+    CHECK(moved->x == 2);
+    CHECK(moved.deliveries() == 1);
+    CHECK(queue.size() == 2);
+    auto again = queue.try_take();
+    REQUIRE(again);
+    CHECK(again->x == 1);
+    CHECK(again.deliveries() == 2);
+    again.finish();
+    CHECK(!again);
+    CHECK(again.get() == nullptr);
+    again.finish();  // nothing
+    again.give_back();
+    moved.finish();
+    CHECK(queue.size() == 1);
+    // One that goes is given back.
+    for (std::uint32_t n = 1; n <= 3; ++n) {
+      const auto goes = queue.try_take();
+      REQUIRE(goes);
+      CHECK(goes->x == 3);
+      CHECK(goes.deliveries() == n);
+      CHECK(queue.size() == 0);
+    }
+    CHECK(queue.size() == 1);
+    auto last = queue.wait_and_take_for(1s);
+    REQUIRE(last);
+    last.give_back();
+    CHECK(!last);
+    CHECK(queue.size() == 1);
+    queue.wait_and_take().finish();
+    CHECK(queue.is_empty());
+    CHECK(!queue.try_take());
+    CHECK(!queue.wait_and_take_for(2ms));
+    CHECK(!queue.wait_and_take_until(Clock::time_point::min()));
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a put that is told to stop copies nothing, a Full one keeps it") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    lot::StopSource source;
+    source.request_stop();
+    const auto stop = source.get_token();
+    auto fragile = shm.queue<Fragile>("fragile", with(engine, 2));
+    const Fragile item(1);
+    {
+      const Breaks breaks;  // a copy would throw
+      CHECK(fragile.put(item, stop) == Status::Stopped);
+      CHECK(fragile.put(Fragile(item.number), stop) == Status::Stopped);
+      CHECK(fragile.put_for(item, 1h, stop) == Status::Stopped);
+      CHECK(fragile.put_until(item, Clock::now() + 1h, stop) == Status::Stopped);
+      CHECK_THROWS_WITH((void)fragile.put(item), "copied");
+      CHECK_THROWS_WITH((void)fragile.try_put(item), "copied");
+    }
+    CHECK(fragile.is_empty());
+    REQUIRE(fragile.put(item) == Status::Ok);
+    CHECK(!fragile.wait_and_pop(stop));
+    CHECK(!fragile.wait_and_pop_for(1h, stop));
+    CHECK(fragile.size() == 1);
+    const auto popped = fragile.wait_and_pop(lot::StopToken());
+    REQUIRE(popped);
+    CHECK(popped->number == 1);
+
+    // A shared pointer is null once its item is in the queue, and not before.
+    auto views = shm.queue<lot::ShmSharedPtr<const Task>>("views", with(engine, 2));
+    auto reader = shm.queue<lot::ShmSharedPtr<const Task>>("views", with(engine, 2));
+    reader.listen();
+    for (std::uint64_t n = 1; n <= 2; ++n) {
+      auto made = views.make();
+      made->number = n;
+      lot::ShmSharedPtr<const Task> shared(std::move(made));
+      const auto copy = shared;
+      CHECK(views.put(std::move(shared)) == Status::Ok);
+      CHECK(!shared);  // NOLINT: it was put
+      CHECK(copy);
+    }
+    lot::ShmSharedPtr<const Task> third(views.make());
+    CHECK(views.try_put(std::move(third)) == Status::Full);
+    REQUIRE(third);  // NOLINT: it stays
+    CHECK(views.put_for(std::move(third), 2ms) == Status::Full);
+    CHECK(views.put(std::move(third), stop) == Status::Stopped);
+    REQUIRE(third);  // NOLINT: it stays
+    CHECK(views.try_put(third) == Status::Full);
+    CHECK(reader.try_pop().value()->number == 1);
+    CHECK(views.put(third) == Status::Ok);
+    REQUIRE(third);  // a copy was put
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a queue's descriptor and its wait set tell of what came back, too") {
+  with_each_engine([&](QueueEngine engine) {
+    lot::ShmEngine shm(options);
+    auto queue = shm.queue<Fragile>("fragile", with(engine));
+    const auto readable = [](int fd, int timeout_ms) {
+      pollfd p{fd, POLLIN, 0};
+      return poll(&p, 1, timeout_ms) == 1;
+    };
+    const int fd = queue.fd();
+    CHECK(fd > 2);
+    CHECK(queue.fd() == fd);
+    while (queue.try_pop()) {
+    }
+    CHECK(!readable(fd, 0));
+    REQUIRE(queue.emplace(1) == Status::Ok);
+    CHECK(readable(fd, 20'000));
+    lot::WaitSet set;
+    int calls = 0;
+    set.add(queue, [&] { ++calls; });
+    CHECK(set.run_once(20s) == 1);
+    {
+      const Breaks breaks;
+      CHECK_THROWS_WITH((void)queue.try_pop(), "copied");
+    }
+    CHECK(queue.size() == 1);
+    CHECK(set.run_once(20s) == 1);  // it is this handle's
+    CHECK(readable(fd, 20'000));
+    CHECK(calls == 2);
+    const auto item = queue.try_pop();
+    REQUIRE(item);
+    CHECK(item->number == 1);
+    CHECK(!queue.try_pop());
+    CHECK(!readable(fd, 0));
+    CHECK(set.run_once(2ms) == 0);
+    set.remove(queue);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "items that could not be copied come again, before the others") {
+  lot::ShmEngine shm(options);
+  auto queue = shm.queue<Fragile>("fragile", with(QueueEngine::Ring));
+  for (int n = 1; n <= 3; ++n) REQUIRE(queue.emplace(n) == Status::Ok);
+  // Two threads have an item each while neither can be copied.
+  std::atomic<int> copying{0};
+  Fragile::on_copy = [&] {
+    ++copying;
+    while (copying < 2) std::this_thread::yield();
+    throw std::runtime_error("copied");
+  };
+  std::thread other([&] { CHECK_THROWS_WITH((void)queue.try_pop(), "copied"); });
+  CHECK_THROWS_WITH((void)queue.try_pop(), "copied");
+  other.join();
+  Fragile::on_copy = nullptr;
+  CHECK(queue.size() == 3);
+  std::multiset<int> first;
+  for (int n = 0; n < 2; ++n) first.insert(queue.try_pop().value().number);
+  CHECK(first == std::multiset<int>{1, 2});
+  CHECK(queue.try_pop().value().number == 3);
+  CHECK(!queue.try_pop());
+}
+
+TEST_CASE_FIXTURE(Fixture, "each call of a queue is refused in a forked child that ends well") {
+  lot::ShmEngine shm(options);
+  auto how = with(QueueEngine::Ring);
+  how.redeliver = true;
+  auto points = std::make_unique<Points>(shm.queue<Point>("points"));
+  auto tasks = shm.queue<Point>("tasks", how);
+  points->fd();
+  REQUIRE(points->put({1, 2}) == Status::Ok);
+  REQUIRE(tasks.put({3, 4}) == Status::Ok);
+  auto task = tasks.try_take();
+  REQUIRE(task);
+  Child child([&] {
+    const auto refuses = [](auto&& use) {
+      try {
+        use();
+      } catch (const lot::Error& e) {
+        return e.error_number() == ECHILD;
+      }
+      return false;
+    };
+    must(refuses([&] { (void)points->try_pop(); }), "try_pop");
+    must(refuses([&] { (void)points->wait_and_pop_for(1h); }), "wait_and_pop_for");
+    must(refuses([&] { (void)points->size(); }), "size");
+    must(refuses([&] { points->listen(); }), "listen");
+    must(refuses([&] { (void)points->fd(); }), "fd");
+    must(refuses([&] { (void)points->put({1, 2}); }), "put");
+    must(refuses([&] { (void)points->make(); }), "make");
+    must(refuses([&] { (void)tasks.try_take(); }), "try_take");
+    must(refuses([&] { task.finish(); }), "finish");
+    must(refuses([&] { (void)shm.queue<Point>("new"); }), "queue");
+    must(points->capacity() == 64, "capacity");
+    task.give_back();  // nothing: it is the parent's
+    points.reset();
+  });
+  CHECK(child.wait() == 0);
+  CHECK(tasks.size() == 0);
+  CHECK(task->x == 3);
+  task.finish();
+  CHECK(points->try_pop().value().x == 1);
+  CHECK(!points->try_pop());
 }
 
 TEST_SUITE_END();

@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Every way to wait: spinning, parked, WaitSet, listeners and descriptors. Both engines.
 #include <atomic>
+#include <cerrno>
+#include <chrono>
 #include <csignal>
+#include <cstdint>
 #include <fcntl.h>
 #include <functional>
 #include <memory>
@@ -19,9 +22,13 @@
 
 #include <lot/lot.hpp>
 
+#include "futex/futex.hpp"
+#include "segment/segment.hpp"
 #include "support/both_engines.hpp"
 #include "support/lock_owner.hpp"
 #include "support/must_go.hpp"
+#include "transport/participant.hpp"
+#include "waiting/notifier.hpp"
 
 namespace {
 
@@ -32,6 +39,7 @@ using lot::QueueEngine;
 using lot::Status;
 using lot::Wait;
 using lot::WaitSet;
+using Clock = std::chrono::steady_clock;
 
 struct Number {
   std::uint64_t value = 0;
@@ -50,6 +58,47 @@ struct Fixture : BothEngines {
 bool readable(int fd, int timeout_ms) {
   pollfd p{fd, POLLIN, 0};
   return poll(&p, 1, timeout_ms) == 1;
+}
+
+/// What a set and a descriptor wait for, played by the test.
+struct Played : lot::detail::Waitable {
+  bool ready() override { return has_news; }
+  std::optional<Clock::time_point> arm(lot::detail::FutexWaits& waits) override {
+    ++arms;
+    if (throws) throw std::runtime_error("not armed");
+    if (has_news) return std::nullopt;
+    if (waits.hearer() != nullptr) {
+      ++heard;
+      if (channel) waits.hearer()->listen(*channel);
+      if (version) waits.hearer()->watch_directory(*version);
+    } else {
+      for (std::size_t i = 0; i < words.size(); ++i) waits.push_back({&words[i], 0});
+    }
+    return again.value_or(Clock::now() + 1h);
+  }
+  std::shared_ptr<lot::waiting::EarOwner> ear_owner() noexcept override {
+    ++asked;
+    return owner;
+  }
+
+  bool has_news = false;
+  bool throws = false;
+  std::optional<Clock::time_point> again;
+  std::vector<std::uint32_t> words = std::vector<std::uint32_t>(1);
+  std::optional<std::uint32_t> channel;
+  std::optional<std::uint32_t> version;
+  std::shared_ptr<lot::waiting::EarOwner> owner;
+  int arms = 0;
+  int heard = 0;  ///< of arms: by an ear
+  int asked = 0;  ///< for an ear
+};
+
+std::size_t claimed_ears(const lot::segment::Segment& segment) {
+  std::size_t claimed = 0;
+  for (std::uint32_t e = lot::segment::kFirstFreeEar; e < lot::ring::kEars; ++e) {
+    claimed += segment.ear(e).words->owner.load() != 0;
+  }
+  return claimed;
 }
 
 }  // namespace
@@ -612,6 +661,420 @@ TEST_CASE_FIXTURE(Fixture, "a forked child of a process with fd() and a ShmListe
     for (std::thread& other : others) other.join();
   });
   CHECK(child.wait() == 0);
+}
+
+TEST_CASE("a set calls each that has news, once in a round, and arms each of the others") {
+  const Watchdog watchdog(60);
+  WaitSet set;
+  std::vector<Played> all(4);
+  std::vector<int> calls(4);
+  for (std::size_t i = 0; i < 4; ++i) {
+    set.add(all[i], [&, i] {
+      ++calls[i];
+      all[i].has_news = false;
+    });
+  }
+  all[1].has_news = all[3].has_news = true;
+  CHECK(set.run_once(1h) == 2);
+  CHECK(calls == std::vector{0, 1, 0, 1});
+  for (const Played& one : all) CHECK(one.arms == 1);
+  // One that keeps its news is called in each round.
+  set.remove(all[0]);
+  set.add(all[0], [&] { ++calls[0]; });
+  all[0].has_news = true;
+  for (int n = 1; n <= 3; ++n) {
+    CHECK(set.run_once(1h) == 1);
+    CHECK(calls[0] == n);
+  }
+  all[0].has_news = false;
+  CHECK(set.run_once(0s) == 0);
+  CHECK(set.run_once(-1h) == 0);
+  CHECK(set.run_once_until(Clock::time_point::min()) == 0);
+  CHECK(calls == std::vector{3, 1, 0, 1});
+  // None that was removed is looked at any more.
+  for (Played& one : all) set.remove(one);
+  set.remove(all[0]);  // nothing
+  std::vector<int> arms;
+  for (const Played& one : all) arms.push_back(one.arms);
+  for (Played& one : all) one.has_news = true;
+  CHECK(set.run_once(1ms) == 0);
+  for (std::size_t i = 0; i < 4; ++i) CHECK(all[i].arms == arms[i]);
+  CHECK(calls == std::vector{3, 1, 0, 1});
+}
+
+TEST_CASE("a set wakes at the earliest time that one must be looked at again") {
+  const Watchdog watchdog(60);
+  for (std::size_t its = 0; its < 3; ++its) {
+    CAPTURE(its);
+    WaitSet set;
+    std::vector<Played> all(3);
+    int calls = 0;
+    for (Played& one : all) set.add(one, [&] { ++calls; });
+    const auto soon = Clock::now() + 3ms;
+    all[its].again = soon;
+    // It is armed anew when its time has come, and says then that it has news.
+    struct Later : Played {
+      std::optional<Clock::time_point> arm(lot::detail::FutexWaits& waits) override {
+        has_news = again && Clock::now() >= *again;
+        return Played::arm(waits);
+      }
+    } later;
+    later.again = soon;
+    bool called = false;
+    set.add(later, [&] {
+      called = true;
+      later.again.reset();
+    });
+    CHECK(set.run_once(1h) == 1);
+    CHECK(called);
+    CHECK(calls == 0);
+    CHECK(Clock::now() >= soon);
+  }
+}
+
+TEST_CASE("a set whose handler throws, stops or removes leaves the others due") {
+  const Watchdog watchdog(60);
+  WaitSet set;
+  std::vector<Played> all(3);
+  std::vector<int> calls(3);
+  bool throws = true;
+  set.add(all[0], [&] {
+    ++calls[0];
+    if (throws) throw std::runtime_error("no picture");
+    all[0].has_news = false;
+  });
+  for (std::size_t i = 1; i < 3; ++i) {
+    set.add(all[i], [&, i] {
+      ++calls[i];
+      all[i].has_news = false;
+    });
+  }
+  for (Played& one : all) one.has_news = true;
+  CHECK_THROWS_WITH((void)set.run_once(1h), "no picture");
+  CHECK(calls == std::vector{1, 0, 0});
+  throws = false;
+  CHECK(set.run_once(1h) == 3);
+  CHECK(calls == std::vector{2, 1, 1});
+
+  // A stop leaves the rest of the round out, and is told once.
+  WaitSet other;
+  int first = 0, second = 0;
+  all[0].has_news = all[1].has_news = true;
+  other.add(all[0], [&] {
+    ++first;
+    other.stop();
+  });
+  other.add(all[1], [&] { ++second; });
+  CHECK(other.run_once(1h) == 1);
+  CHECK(first == 1);
+  CHECK(second == 0);
+  CHECK(other.run_once(1h) == 0);  // it was stopped
+  CHECK(first == 1);
+  other.remove(all[0]);
+  CHECK(other.run_once(1h) == 1);
+  CHECK(second == 1);
+  // One that another handler removes is not called in the same round.
+  WaitSet third;
+  int removed = 0;
+  third.add(all[0], [&] { third.remove(all[1]); });
+  third.add(all[1], [&] { ++removed; });
+  CHECK(third.run_once(1h) == 1);
+  CHECK(removed == 0);
+}
+
+TEST_CASE("a handler of a set may add one, which is looked at in the same round") {
+  const Watchdog watchdog(60);
+  WaitSet set;
+  std::vector<Played> all(20);
+  int calls = 0;
+  std::size_t next = 1;
+  std::function<void()> more = [&] {
+    ++calls;
+    all[next - 1].has_news = false;
+    if (next == all.size()) return;
+    all[next].has_news = true;
+    set.add(all[next++], more);
+  };
+  all[0].has_news = true;
+  set.add(all[0], more);
+  CHECK(set.run_once(1h) == 20);
+  CHECK(calls == 20);
+  for (const Played& one : all) CHECK(one.arms == 1);
+  CHECK(set.run_once(0s) == 0);
+}
+
+TEST_CASE("timers of a set are called in their order, as often as they are due, and not before") {
+  const Watchdog watchdog(60);
+  WaitSet set;
+  std::vector<int> order;
+  set.add_timer_once(-1ms, [&] { order.push_back(1); });
+  set.add_timer_once(0s, [&] { order.push_back(2); });
+  const WaitSet::Timer far = set.add_timer(1h, [&] { order.push_back(3); });
+  const WaitSet::Timer once = set.add_timer_once(1h, [&] { order.push_back(4); });
+  CHECK(far != once);
+  CHECK(set.run_once(1h) == 2);
+  CHECK(order == std::vector{1, 2});
+  CHECK(set.run_once(2ms) == 0);
+  CHECK(order.size() == 2);
+  // Between two handlers a stop leaves the other timers out.
+  int third = 0;
+  set.add_timer_once(0s, [&] { set.stop(); });
+  set.add_timer_once(0s, [&] { ++third; });
+  CHECK(set.run_once(1h) == 1);
+  CHECK(third == 0);
+  CHECK(set.run_once(1h) == 0);
+  CHECK(set.run_once(1h) == 1);
+  CHECK(third == 1);
+  // Timers and what else has news are called in one round.
+  Played one;
+  one.has_news = true;
+  set.add(one, [&] { one.has_news = false; });
+  set.add_timer_once(0s, [&] { ++third; });
+  CHECK(set.run_once(1h) == 2);
+  CHECK(third == 2);
+}
+
+TEST_CASE("a handler of a set may remove the timer that comes next, and its own") {
+  const Watchdog watchdog(60);
+  WaitSet set;
+  int calls = 0, others = 0;
+  WaitSet::Timer own{}, next{};
+  own = set.add_timer(1ns, [&] {
+    ++calls;
+    set.remove(own);
+    set.remove(next);
+    set.remove(WaitSet::Timer{99});  // nothing
+  });
+  next = set.add_timer(1ns, [&] { ++others; });
+  CHECK(set.run_once(1h) == 1);
+  CHECK(set.run_once(1ms) == 0);
+  CHECK(calls == 1);
+  CHECK(others == 0);
+}
+
+TEST_CASE("what a set refuses it says in full") {
+  WaitSet set;
+  Played one;
+  const auto refused = [](auto&& add, const char* object, const char* reason, const char* advice) {
+    const lot::Error expected(EINVAL, object, reason, advice);
+    CHECK_THROWS_WITH_AS(add(), expected.what(), lot::Error);
+    try {
+      add();
+    } catch (const lot::Error& e) {
+      CHECK(e.error_number() == EINVAL);
+    }
+  };
+  const char* empty = "a handler is empty";
+  const char* give = "give a function to be called";
+  refused([&] { set.add(one, nullptr); }, "WaitSet", empty, give);
+  refused([&] { set.add_timer(1s, nullptr); }, "WaitSet", empty, give);
+  refused([&] { set.add_timer_once(0s, nullptr); }, "WaitSet", empty, give);
+  for (const auto period : {0ns, -1ns, -3'600'000'000'000ns}) {
+    refused([&] { set.add_timer(period, [] {}); }, "WaitSet::add_timer",
+            "a period must be longer than nothing",
+            "use add_timer_once() for what is to be done once");
+  }
+  one.has_news = true;
+  CHECK(set.run_once(0s) == 0);
+  CHECK(one.arms == 0);
+  CHECK_NOTHROW(set.add_timer(1ns, [] {}));
+}
+
+TEST_CASE("a set asks for ears once it has more than eight words") {
+  const Watchdog watchdog(60);
+  for (const std::size_t words : {8, 9}) {
+    CAPTURE(words);
+    const bool is_many = words > 8;
+    // In one that has them all, in one for each word.
+    for (const bool one_each : {false, true}) {
+      WaitSet set;
+      std::vector<Played> all(one_each ? words : 2);
+      if (!one_each) all[0].words.resize(words - 1);
+      for (Played& one : all) set.add(one, [] {});
+      CHECK(set.run_once(1ms) == 0);
+      for (const Played& one : all) {
+        CHECK((one.asked != 0) == is_many);
+        CHECK(one.heard == 0);  // there is none to be had
+      }
+      // Once it has asked, it asks again for what comes later.
+      Played late;
+      set.add(late, [] {});
+      CHECK(set.run_once(1ms) == 0);
+      CHECK((late.asked != 0) == (is_many || words + 1 > 8));
+    }
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a set with an ear arms what has rung, and leaves the others alone") {
+  lot::ShmEngine shm(options);
+  {
+    const auto participant = lot::transport::Participant::join(options);
+    lot::segment::Segment& segment = participant->segment();
+    std::vector<Played> all(12);
+    std::vector<int> calls(12);
+    {
+      WaitSet set;
+      for (std::uint32_t i = 0; i < 12; ++i) {
+        all[i].owner = participant;
+        all[i].channel = 100 + i;
+        all[i].version = segment.directory().version.load();
+        set.add(all[i], [&, i] {
+          ++calls[i];
+          all[i].has_news = false;
+        });
+      }
+      CHECK(claimed_ears(segment) == 0);
+      CHECK(set.run_once(1ms) == 0);
+      CHECK(claimed_ears(segment) == 1);
+      for (const Played& one : all) CHECK(one.heard >= 1);
+      const auto arms = [&] {
+        std::vector<int> n;
+        for (const Played& one : all) n.push_back(one.arms);
+        return n;
+      };
+      auto before = arms();
+      CHECK(set.run_once(1ms) == 0);
+      CHECK(arms() == before);  // they are armed
+      // A ring that has news: its own is looked at alone.
+      all[5].has_news = true;
+      segment.ring_ears(105);
+      CHECK(set.run_once(1h) == 1);
+      CHECK(calls[5] == 1);
+      ++before[5];
+      CHECK(arms() == before);
+      // It is due until it is armed again.
+      CHECK(set.run_once(1ms) == 0);
+      ++before[5];
+      CHECK(arms() == before);
+      // A ring that nobody listens to.
+      segment.ring_ears(99);
+      segment.ring_ears(112);
+      CHECK(set.run_once(1ms) == 0);
+      CHECK(arms() == before);
+      // One that must be looked at again sooner than all are.
+      all[7].again = Clock::now() + 2ms;
+      segment.ring_ears(107);
+      CHECK(set.run_once(0s) == 0);
+      all[7].has_news = true;
+      all[7].again.reset();
+      CHECK(set.run_once(500ms) == 1);
+      CHECK(calls[7] == 1);
+      // Another version of the directory: all that watch it are due.
+      CHECK(set.run_once(0s) == 0);
+      before = arms();
+      segment.directory().version.bump();
+      for (Played& one : all) one.version = segment.directory().version.load();
+      CHECK(set.run_once(1ms) == 0);
+      for (int& n : before) ++n;
+      CHECK(arms() == before);
+      // Removed ones are not heard for; the ear goes with the last.
+      for (std::size_t i = 0; i < 11; ++i) set.remove(all[i]);
+      CHECK(claimed_ears(segment) == 1);
+      for (std::uint32_t i = 0; i < 12; ++i) {
+        all[i].has_news = true;
+        segment.ring_ears(100 + i);
+      }
+      CHECK(set.run_once(1h) == 1);
+      CHECK(calls[11] == 1);
+      before[11] += 1;
+      CHECK(arms() == before);
+      set.remove(all[11]);
+      CHECK(claimed_ears(segment) == 0);
+    }
+    CHECK(claimed_ears(segment) == 0);
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a set with an ear looks at all by itself, at what no ear has heard") {
+  lot::ShmEngine shm(options);
+  const auto participant = lot::transport::Participant::join(options);
+  WaitSet set;
+  std::vector<Played> all(9);
+  int calls = 0;
+  for (std::uint32_t i = 0; i < 9; ++i) {
+    all[i].owner = participant;
+    all[i].channel = 100 + i;
+    set.add(all[i], [&, i] {
+      ++calls;
+      all[i].has_news = false;
+    });
+  }
+  CHECK(set.run_once(1ms) == 0);
+  all[4].has_news = true;  // and nobody rings
+  CHECK(set.run_once(1h) == 1);
+  CHECK(calls == 1);
+  for (Played& one : all) set.remove(one);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a descriptor is readable once its ring, directory or time says so") {
+  lot::ShmEngine shm(options);
+  const auto participant = lot::transport::Participant::join(options);
+  lot::segment::Segment& segment = participant->segment();
+  {
+    lot::waiting::Notifier one(participant->descriptors());
+    lot::waiting::Notifier two(participant->descriptors());
+    CHECK(one.fd() > 2);
+    CHECK(two.fd() > 2);
+    CHECK(one.fd() != two.fd());
+    CHECK(fcntl(one.fd(), F_GETFD) == FD_CLOEXEC);
+    CHECK((fcntl(one.fd(), F_GETFL) & O_NONBLOCK) != 0);
+    CHECK(!readable(one.fd(), 0));
+    Played first, second;
+    const auto version = [&] { return segment.directory().version.load(); };
+    first.channel = 100;
+    second.channel = 101;
+    one.watch(first);
+    two.watch(second);
+    CHECK(first.heard == 1);
+    CHECK(!readable(one.fd(), 0));
+    CHECK(!readable(two.fd(), 0));
+    // Its own ring, and no other.
+    segment.ring_ears(101);
+    CHECK(readable(two.fd(), 20'000));
+    CHECK(!readable(one.fd(), 0));
+    two.watch(second);
+    CHECK(!readable(two.fd(), 0));
+    // What it has news of it says at once.
+    second.has_news = true;
+    two.watch(second);
+    CHECK(readable(two.fd(), 0));
+    second.has_news = false;
+    two.watch(second);
+    CHECK(!readable(two.fd(), 0));
+    // One that cannot be armed has to look again.
+    second.throws = true;
+    CHECK_THROWS_WITH(two.watch(second), "not armed");
+    CHECK(readable(two.fd(), 0));
+    second.throws = false;
+    // The directory.
+    first.version = second.version = version();
+    one.watch(first);
+    two.watch(second);
+    CHECK(!readable(one.fd(), 0));
+    CHECK(!readable(two.fd(), 0));
+    segment.directory().version.bump();
+    lot::futex::wake_all(&segment.directory().version.word());
+    CHECK(readable(one.fd(), 20'000));
+    CHECK(readable(two.fd(), 20'000));
+    first.version.reset();
+    second.version.reset();
+    // The time.
+    first.again = Clock::now() + 3ms;
+    one.watch(first);
+    two.watch(second);
+    CHECK(readable(one.fd(), 20'000));
+    CHECK(!readable(two.fd(), 0));
+    // A time that has passed, and an earlier one behind a later one.
+    first.again = Clock::now() - 1s;
+    one.watch(first);
+    CHECK(readable(one.fd(), 20'000));
+    second.again = Clock::now() + 1h;
+    two.watch(second);
+    first.again = Clock::now() + 2ms;
+    one.watch(first);
+    CHECK(readable(one.fd(), 20'000));
+    CHECK(!readable(two.fd(), 0));
+  }
 }
 
 TEST_SUITE_END();
