@@ -26,6 +26,7 @@
 #include "support/raw.hpp"
 #include "transport/participant.hpp"
 #include "transport/ring_ends.hpp"
+#include "waiting/hearing.hpp"
 
 namespace {
 
@@ -117,6 +118,11 @@ struct Fixture {
                                             delivery, watcher);
   }
   Numbers advertise(const PusherOptions& how = {}) { return engine.advertise<Number>("/t", how); }
+  /// A worker of the queue "/tasks".
+  Core work() {
+    return lot::transport::make_ring_puller(participant, "/tasks", lot::detail::task_type<Number>(),
+                                            {}, Delivery::ToWorker, nullptr);
+  }
   std::uint32_t version() const { return segment.directory().version.load(); }
   lot::segment::RingHead& head(std::uint32_t channel) const {
     return lot::segment::Segment::head_of(segment.ring(channel));
@@ -305,6 +311,14 @@ TEST_CASE_FIXTURE(Fixture, "while a borrow lasts each look is an error that says
     CHECK(!core->arm(waits));  // the next look says it
     CHECK(waits.empty());
     CHECK(core->size() == static_cast<std::size_t>(2 - round));
+    if (round == 1) {  // also where it is damaged, and there is no other
+      auto& word = core->sources()[0].reader.ring().slots[1];
+      const auto whole = word.exchange(lot::ring::make(0, lot::ring::kNoBlock));
+      CHECK(!core->ready());
+      CHECK(!core->arm(waits));
+      CHECK(waits.empty());
+      word.store(whole);
+    }
     core->done();
     CHECK(core->size() == static_cast<std::size_t>(1 - round));
   }
@@ -355,6 +369,10 @@ TEST_CASE_FIXTURE(Fixture, "a puller that holds all it may says of each look why
   }
   send(3);
   CHECK(core->ready());  // a borrow keeps nothing
+  {
+    FutexWaits none;
+    for (int n = 0; n < 2; ++n) CHECK(!core->arm(none));
+  }
   CHECK(pull<Large>(*core) == Found{Status::HoldsTooMuch, 0, 0});
   CHECK(!core->ready());
 
@@ -661,8 +679,11 @@ TEST_CASE_FIXTURE(Fixture, "a puller without a ring is not alone while another h
 
 TEST_CASE_FIXTURE(Fixture, "a watcher hears of each ring that its puller joins and leaves") {
   Watcher watcher;
+  const Core before = subscribe<Number>({}, Delivery::ToAll, nullptr, "/before");
   std::optional first(advertise());
   const Core early = subscribe();
+  CHECK(early->topic() != before->topic());
+  CHECK(segment.topics()[early->topic()].name == std::string("/t"));
   {
     const Core core = subscribe({}, Delivery::ToAll, &watcher);
     CHECK(watcher.announced == std::vector{core->topic()});
@@ -1130,10 +1151,11 @@ TEST_CASE_FIXTURE(Fixture, "the envelope stays when its own ring goes first") {
 
 TEST_CASE_FIXTURE(Fixture, "a claim names its item, and only a claim that fits changes one") {
   auto queue = engine.queue<Number>("/tasks", tasks());
-  const auto& type = lot::detail::task_type<Number>();
-  const Core core = lot::transport::make_ring_puller(participant, "/tasks", type, {},
-                                                     Delivery::ToWorker, nullptr);
-  for (std::uint64_t n = 1; n <= 3; ++n) must_go(queue.put({n}));
+  must_go(queue.put({1}));
+  std::optional goes(work());
+  const Core core = work();
+  goes.reset();  // its cell is free
+  for (std::uint64_t n = 2; n <= 3; ++n) must_go(queue.put({n}));
   const auto take = [&](lot::detail::Claim& claim) {
     const Status status = core->pull(claim.item, Limit::now());
     if (status == Status::Ok) core->describe(claim);
@@ -1156,18 +1178,37 @@ TEST_CASE_FIXTURE(Fixture, "a claim names its item, and only a claim that fits c
   CHECK(two.origin.sequence == one.origin.sequence + 1);
   CHECK(core->size() == 1);
 
-  // What another process may have written into a claim changes nothing.
-  for (int field = 0; field < 4; ++field) {
+  // What another process may have written into a claim changes nothing: neither its item, nor what
+  // lies behind the slots and behind the claims.
+  const auto& ring = source.reader.ring();
+  CHECK(source.reader.cell() == 1);
+  auto& behind_slots = ring.cells[0].position;
+  auto& behind_claims = ring.claims[4];
+  REQUIRE(static_cast<void*>(&behind_slots) == static_cast<void*>(&ring.slots[4]));
+  const auto idle = behind_slots.load();
+  const auto zero = behind_claims.load();
+  const auto returned = ring.returned->load();
+  for (int field = 0; field < 5; ++field) {
+    CAPTURE(field);
     lot::detail::Claim wrong = one;
     if (field == 0) ++wrong.origin.channel;
     if (field == 1) ++wrong.origin.generation;
     if (field == 2) wrong.slot = 4;
-    if (field == 3) wrong.slot = 5;
+    if (field == 3) wrong.slot = 1000;
+    if (field == 4) wrong.slot = ~std::uint32_t{0};
+    const auto message = lot::ring::make(one.origin.sequence, 3);
+    behind_slots.store(message);
+    behind_claims.store(one.word);
     core->finish(wrong);
     core->give_back(wrong);
+    CHECK(behind_slots.load() == message);
+    CHECK(behind_claims.load() == one.word);
+    CHECK(ring.returned->load() == returned);
+    behind_slots.store(idle);
+    behind_claims.store(zero);
     CHECK(core->size() == 1);
-    CHECK(queue.size() == 1);
   }
+  CHECK(queue.size() == 1);
   one.item.control->drop_pointer();
   core->give_back(one);
   CHECK(core->size() == 2);
@@ -1274,6 +1315,338 @@ TEST_CASE_FIXTURE(Fixture, "an observer is told that its topic carries another t
   CHECK(!core->arm(waits));
   CHECK(error_of([&] { (void)pull(*core); }) == refusal);
   CHECK(error_of([&] { (void)pull(*core, Limit::forever({})); }) == refusal);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a finished task rings the sender, and tells of the end, not before") {
+  std::optional queue(engine.queue<Number>("/tasks", tasks()));
+  for (std::uint64_t n = 1; n <= 2; ++n) must_go(queue->put({n}));
+  const Core core = work(), other = work();
+  const auto take = [&](RingPuller& worker) {
+    lot::detail::Claim claim;
+    REQUIRE(worker.pull(claim.item, Limit::now()) == Status::Ok);
+    worker.describe(claim);
+    claim.item.control->drop_pointer();
+    return claim;
+  };
+  const auto one = take(*core), two = take(*core);
+  const auto& ring = core->sources()[0].reader.ring();
+  const auto marks = [&] {
+    std::size_t n = 0;
+    for (std::uint32_t i = 0; i < ring.places(); ++i) {
+      n += (ring.slots[i].load() & lot::ring::kSleeper) != 0;
+    }
+    return n;
+  };
+  FutexWaits waits;
+  // The sender sleeps for room: it is woken.
+  const auto space = ring.space->load();
+  CHECK(space % 2 == 0);
+  core->finish(one);
+  CHECK(ring.space->load() == space);
+  CHECK(pull(*other).status == Status::Empty);
+  REQUIRE(other->arm(waits));
+  CHECK(marks() == 1);
+  ring.space->store(space + 1);
+  core->finish(two);
+  CHECK(ring.space->load() == space + 2);
+  CHECK(marks() == 1);  // more may come
+  // What comes back wakes those that sleep.
+  must_go(queue->put({3}));
+  must_go(queue->put({4}));
+  const auto three = take(*core), four = take(*core);
+  CHECK(pull(*other).status == Status::Empty);
+  REQUIRE(other->arm(waits));
+  CHECK(marks() == 1);
+  core->give_back(three);
+  CHECK(marks() == 0);
+  CHECK(other->ready());
+  const auto again = take(*other);
+  CHECK(again.origin.sequence == three.origin.sequence);
+  // The publisher has gone: the last task that is finished wakes them.
+  queue.reset();
+  CHECK(pull(*other).status == Status::Empty);
+  REQUIRE(other->arm(waits));
+  CHECK(marks() == 1);
+  other->finish(again);
+  CHECK(marks() == 1);
+  core->finish(four);
+  CHECK(marks() == 0);
+  CHECK(pull(*core).status == Status::PublisherGone);
+  CHECK(pull(*other).status == Status::PublisherGone);
+}
+
+TEST_CASE_FIXTURE(Fixture, "items that one reader takes count for no max_held_bytes") {
+  auto queue = engine.queue<Large>("/items");
+  const Core core =
+      lot::transport::make_ring_puller(participant, "/items", lot::detail::taken_type<Large>(),
+                                       holding(4096), Delivery::ToOne, nullptr);
+  std::vector<Borrowed> items(4);
+  for (Borrowed& item : items) {
+    must_go(queue.emplace());
+    CHECK(core->pull(item, Limit::now()) == Status::Ok);
+  }
+  for (const Borrowed& item : items) {
+    if (item.control != nullptr) item.control->drop_pointer();
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a puller that has looked takes no cell that awaits another one") {
+  std::optional<Core> looks(subscribe());
+  const Core waits = subscribe();
+  auto pusher = advertise(of_depth(4, Policy::Block));
+  push(pusher, 1);
+  CHECK(borrow(**looks) == Found{Status::Ok, 1, 0});
+  CHECK(pusher.readers() == 2);
+  looks.reset();
+  CHECK(pusher.readers() == 1);
+  push(pusher, 2);
+  CHECK(borrow(*waits) == Found{Status::Ok, 1, 0});
+  CHECK(borrow(*waits) == Found{Status::Ok, 2, 0});
+}
+
+TEST_CASE_FIXTURE(Fixture, "a puller looks for rings when the directory has another version") {
+  const Core core = subscribe();
+  CHECK(core->publishers() == 0);
+  const auto before = version();
+  auto pusher = advertise();
+  push(pusher, 1);
+  auto& word = lot::test::raw(segment.directory().version);
+  const auto now = word.exchange(before);
+  CHECK(now != before);
+  FutexWaits waits;
+  CHECK(!core->ready());
+  CHECK(core->size() == 0);
+  CHECK(core->publishers() == 0);
+  CHECK(core->arm(waits));
+  CHECK(borrow(*core) == Found{Status::PublisherGone, 0, 0});
+  CHECK(pull(*core) == Found{Status::PublisherGone, 0, 0});
+  CHECK(core->sources().empty());
+  word = now;
+  CHECK(core->ready());
+  CHECK(core->arm(waits) == std::nullopt);
+  CHECK(core->sources().size() == 1);
+  CHECK(borrow(*core) == Found{Status::Ok, 1, 0});
+  {
+    const TakenRegistry taken(segment);
+    CHECK(core->publishers() == 1);  // it has nothing to wait for
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a ring that is not the puller's own is not joined anew") {
+  const Core core = subscribe();
+  std::optional first(advertise());
+  CHECK(core->publishers() == 1);
+  auto second = advertise();
+  CHECK(core->publishers() == 2);
+  const auto gone = core->sources()[0].name;
+  first.reset();
+  CHECK(borrow(*core) == Found{Status::Empty, 0, 0});
+  REQUIRE(core->sources().size() == 1);
+  auto name = core->sources()[0].name;
+  CHECK(!core->join_anew(gone));
+  name.channel += 100;
+  CHECK(!core->join_anew(name));
+  CHECK(second.readers() == 1);
+  CHECK(core->sources()[0].reader.cell() == 0);
+  // Who hears for it is told that it goes on elsewhere.
+  const auto channel = core->sources()[0].name.channel;
+  const auto ear = lot::waiting::Ear::claim(*participant);
+  REQUIRE(ear);
+  lot::waiting::Ear::Client client;
+  ear->listen(client, channel);
+  CHECK(!ear->has_rung());
+  CHECK(core->join_anew(core->sources()[0].name));
+  int due = 0;
+  ear->take([&](lot::waiting::Ear::Client& one) { due += &one == &client; });
+  CHECK(due == 1);
+  ear->forget(client);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a ring of the mutex engine without messages is not locked by a look") {
+  const Core core = subscribe();
+  auto pusher = advertise(of_depth(4, Policy::Overwrite, QueueEngine::Mutex));
+  CHECK(borrow(*core) == Found{Status::Empty, 0, 0});
+  const auto channel = core->sources()[0].name.channel;
+  Steps held, go;
+  std::thread other([&] {
+    InOurName name(segment);
+    auto lock = segment.queue_lock(channel, name);
+    lock.lock();
+    held.tell();
+    go.next(60s);
+    lock.unlock();
+  });
+  const bool is_held = held.next() != 0;
+  CHECK(is_held);
+  CHECK(borrow(*core) == Found{Status::Empty, 0, 0});
+  CHECK(pull(*core) == Found{Status::Empty, 0, 0});
+  CHECK(!core->ready());
+  CHECK(core->size() == 0);
+  go.tell();
+  other.join();
+  push(pusher, 1);
+  CHECK(borrow(*core) == Found{Status::Ok, 1, 0});
+}
+
+TEST_CASE_FIXTURE(Fixture, "without a free block a pull keeps what is in blocks, not in slots") {
+  lot::EngineOptions small = fresh();
+  small.blocks = 16;
+  lot::ShmEngine few(small);
+  const auto its = Participant::join(small);
+  const auto subscribe_to = [&](const char* topic) {
+    return lot::transport::make_ring_puller(its, topic, lot::detail::message_type<Number>(), {},
+                                            Delivery::ToAll, nullptr);
+  };
+  auto slots = few.advertise<Number>("/slots", of_depth(4));
+  auto blocks = few.advertise<Number>("/blocks", in_blocks(of_depth(4)));
+  const Core in_slots = subscribe_to("/slots"), from_blocks = subscribe_to("/blocks");
+  push(blocks, 7);
+  std::vector<lot::ShmUniquePtr<Number>> loans;
+  auto other = few.advertise<Number>("/other");
+  while (auto loan = other.try_loan()) loans.push_back(std::move(loan));
+  CHECK(loans.size() >= 8);
+  // There is no message: no block is asked for.
+  CHECK(pull(*in_slots) == Found{Status::Empty, 0, 0});
+  CHECK(pull(*in_slots, soon()) == Found{Status::Timeout, 0, 0});
+  CHECK(pull(*from_blocks) == Found{Status::Ok, 7, 0});
+  {
+    auto message = std::move(loans.back());
+    loans.pop_back();
+    message->value = 1;
+    must_go(slots.push(std::move(message)));
+    while (auto loan = other.try_loan()) loans.push_back(std::move(loan));
+  }
+  const auto before = Clock::now();
+  CHECK(pull(*in_slots) == Found{Status::HoldsTooMuch, 0, 0});
+  CHECK(pull(*in_slots, soon()) == Found{Status::HoldsTooMuch, 0, 0});
+  lot::StopSource source;
+  source.request_stop();
+  CHECK(pull(*in_slots, Limit::forever(source.get_token())) == Found{Status::Stopped, 0, 0});
+  {
+    lot::StopSource later;
+    const InAMoment stop([&] { later.request_stop(); });
+    CHECK(pull(*in_slots, Limit::forever(later.get_token())) == Found{Status::Stopped, 0, 0});
+  }
+  CHECK(in_slots->size() == 1);
+  const auto [error, text] = error_of([&] { in_slots->refuse_to_hold(); });
+  CHECK(error == 0);  // lot::OutOfMemory
+  CHECK(text.find(": no room for a message: 16 of 16 ") != text.npos);
+  CHECK(text.find("EngineOptions::blocks") != text.npos);
+  // Who waits for it is told at once, and then looks each ten milliseconds.
+  CHECK(!in_slots->ready());
+  FutexWaits waits;
+  CHECK(!in_slots->arm(waits));
+  const Armed armed(*in_slots, waits);
+  if (armed.after < before + 1s) CHECK(armed.is_in(10ms));
+  // Once the message has gone there is nothing to be told.
+  CHECK(borrow(*in_slots) == Found{Status::Ok, 1, 0});
+  CHECK(pull(*in_slots) == Found{Status::Empty, 0, 0});
+  CHECK(!in_slots->ready());
+  // A borrow that finds no block says so when it is kept.
+  {
+    auto message = std::move(loans.back());
+    loans.pop_back();
+    message->value = 2;
+    must_go(slots.push(std::move(message)));
+    while (auto loan = other.try_loan()) loans.push_back(std::move(loan));
+  }
+  {
+    Borrowed borrowed;
+    REQUIRE(in_slots->borrow(borrowed, Limit::now()) == Status::Ok);
+    CHECK(error_of([&] { (void)in_slots->keep(); }) == std::pair{0, text});
+    loans.pop_back();
+    const auto kept = in_slots->keep();
+    CHECK(static_cast<const Number*>(kept.root)->value == 2);
+    in_slots->done();
+    kept.control->drop_pointer();
+    loans.push_back(other.loan());
+  }
+  // A pull that waits gets it once there is a block.
+  {
+    auto message = std::move(loans.back());
+    loans.pop_back();
+    message->value = 3;
+    must_go(slots.push(std::move(message)));
+    while (auto loan = other.try_loan()) loans.push_back(std::move(loan));
+  }
+  const InAMoment let_go([&] { loans.clear(); });
+  CHECK(pull(*in_slots, Limit::until(Clock::now() + 20s, {})) == Found{Status::Ok, 3, 0});
+}
+
+TEST_CASE_FIXTURE(Fixture, "a forked child is refused each call, and changes nothing by going") {
+  std::optional<Core> core(subscribe());
+  auto pusher = advertise(of_depth(4, Policy::Block));
+  push(pusher, 1);
+  push(pusher, 2);
+  (*core)->fd();
+  Borrowed borrowed;
+  REQUIRE((*core)->borrow(borrowed, Limit::now()) == Status::Ok);
+  const auto& ring = (*core)->sources()[0].reader.ring();
+  const auto position = ring.cells[0].position.load();
+  Child child([&] {
+    const auto refuses = [](auto&& use, const char* what) {
+      must(error_of(use).first == ECHILD, what);
+    };
+    Borrowed other;
+    FutexWaits waits;
+    refuses([&] { (void)(*core)->borrow(other, Limit::now()); }, "borrow");
+    refuses([&] { (void)(*core)->pull(other, Limit::now()); }, "pull");
+    refuses([&] { (void)(*core)->pull(other, Limit::forever({})); }, "pull that waits");
+    refuses([&] { (void)(*core)->keep(); }, "keep");
+    refuses([&] { (void)(*core)->size(); }, "size");
+    refuses([&] { (void)(*core)->publishers(); }, "publishers");
+    refuses([&] { (void)(*core)->envelope(); }, "envelope");
+    refuses([&] { (void)(*core)->fd(); }, "fd");
+    refuses([&] { (void)(*core)->arm(waits); }, "arm");
+    refuses([&] { (void)subscribe(); }, "subscribe");
+    (*core)->done();
+    refuses([&] { (void)(*core)->borrow(other, Limit::now()); }, "borrow after it");
+    refuses([&] { (void)(*core)->pull(other, Limit::now()); }, "pull after it");
+    refuses([&] { (void)(*core)->arm(waits); }, "arm after it");
+    core.reset();
+  });
+  CHECK(child.wait() == 0);
+  CHECK(ring.cells[0].position.load() == position);
+  CHECK(pusher.readers() == 1);
+  (*core)->done();
+  CHECK(borrow(**core) == Found{Status::Ok, 2, 0});
+}
+
+TEST_CASE_FIXTURE(Fixture, "a publisher that does not stamp tells no time, whatever it wrote") {
+  const Core core = subscribe<Large>({}, Delivery::ToAll, nullptr, "/large");
+  auto pusher = engine.advertise<Large>("/large", of_depth(4));
+  must_go(pusher.push(pusher.loan()));
+  Borrowed borrowed;
+  REQUIRE(core->borrow(borrowed, Limit::now()) == Status::Ok);
+  segment.arena(borrowed.control->block).pushed_ns = 5;
+  CHECK(!core->pushed());
+  CHECK(!core->envelope().pushed);
+  core->done();
+}
+
+TEST_CASE_FIXTURE(Fixture, "a block that a damaged slot has left is used by the next keep") {
+  const auto homes = [&] { return Audit(segment).homes; };
+  {
+    const Core core = subscribe();
+    auto pusher = advertise(of_depth(4));
+    push(pusher, 1);
+    CHECK(core->size() == 1);
+    auto* const words = &core->sources()[0].reader.ring().slots[0];
+    const auto whole = words[1].load();
+    words[1].store(whole + 1);
+    Borrowed kept;
+    CHECK(error_of([&] { (void)core->pull(kept, Limit::now()); }).first == EBADMSG);
+    words[1].store(whole);
+    const std::size_t with_spare = homes();
+    push(pusher, 2);
+    Borrowed borrowed;
+    REQUIRE(core->borrow(borrowed, Limit::now()) == Status::Ok);
+    const auto copy = core->keep();
+    core->done();
+    CHECK(homes() <= with_spare + 1);
+    copy.control->drop_pointer();
+  }
+  CHECK(eventually([&] { return Audit(segment).nothing(); }));
 }
 
 TEST_SUITE_END();
