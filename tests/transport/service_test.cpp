@@ -8,16 +8,19 @@
 #include <stdexcept>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include <doctest/doctest.h>
 
 #include <lot/lot.hpp>
 
+#include "segment/segment.hpp"
 #include "support/both_engines.hpp"
 #include "support/error_of.hpp"
 #include "support/in_a_moment.hpp"
 #include "support/must_go.hpp"
+#include "transport/participant.hpp"
 
 namespace {
 
@@ -61,6 +64,70 @@ Child serve(const lot::EngineOptions& options, const Steps& ready, const Steps& 
     go.next(60s);
   });
 }
+
+using Call = lot::detail::Call<Sum>;
+
+/// A server that is played by the test: it says what it likes to a request.
+class PlayedServer {
+ public:
+  /// What it sends to a client.
+  struct Answers {
+    lot::ShmPusher<lot::detail::Answer<Total>> pusher;
+    void push(std::uint64_t number, std::uint64_t value, bool gives_up, bool fails,
+              const char* error) {
+      auto answer = pusher.loan();
+      answer->number = number;
+      answer->has_given_up = gives_up;
+      answer->has_failed = fails;
+      answer->error = error;
+      answer->response.value = value;
+      must_go(pusher.push(std::move(answer)));
+    }
+  };
+
+  PlayedServer(lot::ShmEngine& engine, const lot::EngineOptions& options)
+      : engine_(engine),
+        calls_(lot::detail::make_calls<Call>(lot::transport::Participant::join(options),
+                                             "sum/calls", lot::Wait::Park)),
+        presence_(engine.advertise<lot::detail::Serving<Sum, Total>>("sum/servers")) {
+    calls_.listen();
+  }
+  ~PlayedServer() { join(); }
+  PlayedServer(const PlayedServer&) = delete;
+  PlayedServer& operator=(const PlayedServer&) = delete;
+
+  /// Answers the next request, on another thread. A client stays in its topic while a call lasts.
+  template <class How>
+  void answers(How how) const {
+    thread_ = std::thread([this, how] {
+      auto task = calls_.wait_and_take_for(20s);
+      if (!task) return;
+      Answers to{engine_.advertise<lot::detail::Answer<Total>>("sum/answers/" +
+                                                               std::to_string(task->client))};
+      try {
+        how(*task, to);
+      } catch (const std::exception& e) {
+        failure_ = e.what();
+      }
+      task.finish();
+    });
+  }
+  /// Takes the next request, and leaves it to the caller.
+  void takes(lot::ShmTask<Call>& task) const {
+    thread_ = std::thread([this, &task] { task = calls_.wait_and_take_for(20s); });
+  }
+  void join() const {
+    if (thread_.joinable()) thread_.join();
+    CHECK(failure_ == "");
+  }
+
+ private:
+  lot::ShmEngine& engine_;
+  mutable lot::ShmQueue<lot::ShmUniquePtr<Call>> calls_;
+  lot::ShmPusher<lot::detail::Serving<Sum, Total>> presence_;
+  mutable std::thread thread_;
+  mutable std::string failure_;
+};
 
 /// A fixture with both engines: the variable comes before the options of all queues.
 struct Fixture : BothEngines {
@@ -601,6 +668,215 @@ TEST_CASE_FIXTURE(Fixture, "a request that ends each server ends three of them a
     for (auto& server : servers) ended_well += server.wait() == 0;
     CHECK(ended_well == 1);
   });
+}
+
+TEST_CASE("by default a call is done once, and a server's thread has a name") {
+  CHECK_FALSE(lot::ClientOptions().retry);
+  CHECK(lot::ServerOptions().thread.name == "lot-serve");
+  CHECK(static_cast<int>(lot::ClientOptions().wait) == static_cast<int>(lot::Wait::Adaptive));
+  CHECK(static_cast<int>(lot::ServerOptions().wait) == static_cast<int>(lot::Wait::Adaptive));
+}
+
+TEST_CASE_FIXTURE(Fixture, "a request says who asks, which call it is, and if it may be retried") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    const PlayedServer server(engine, options);
+    for (const bool retry : {false, true}) {
+      CAPTURE(retry);
+      lot::ClientOptions how;
+      how.retry = retry;
+      auto client = engine.client<Sum, Total>("sum", how);
+      CHECK(client.status() == Status::Empty);
+      CHECK(client.servers() == 1);
+      std::uint64_t id = 0;
+      for (std::uint64_t n = 1; n <= 3; ++n) {
+        std::uint64_t waited_for = 0;
+        server.answers([&](const Call& call, auto& answers) {
+          id = id == 0 ? call.client : id;
+          must(call.client == id, "the same client");
+          must(call.number == n, "the number of the call");
+          must(call.may_retry == retry, "whether it may be retried");
+          waited_for = call.ticket->waits_for;
+          must(call.request.numbers.size() == n, "the request");
+          // What answers another call is dropped, and the first one that answers this counts.
+          for (const std::uint64_t wrong : {n - 1, n + 1, std::uint64_t{0}}) {
+            answers.push(wrong, 99, false, false, "");
+          }
+          answers.push(n, 10 + n, false, false, "");
+          answers.push(n, 77, false, false, "");
+        });
+        const auto answer = client.call(up_to(client, static_cast<std::uint32_t>(n)), 20s);
+        server.join();
+        REQUIRE(answer);
+        CHECK(answer->value == 10 + n);
+        CHECK(client.status() == Status::Ok);
+        CHECK(waited_for == n);
+      }
+      // The server at work has died, and no other one is to begin anew.
+      server.answers([&](const Call& call, auto& answers) {
+        answers.push(call.number, 0, true, false, "");
+        answers.push(call.number, 5, false, false, "");
+      });
+      CHECK_FALSE(client.call(up_to(client, 1), 20s));
+      server.join();
+      CHECK(client.status() == Status::ServerGone);
+      // Its handler has thrown.
+      server.answers([&](const Call& call, auto& answers) {
+        answers.push(call.number, 0, false, true, "too large");
+      });
+      const lot::Error expected(EREMOTEIO, "sum", "the server's handler has failed: too large",
+                                "look at the server");
+      CHECK(error_of([&] { (void)client.call(up_to(client, 1), 20s); }) ==
+            std::pair{EREMOTEIO, std::string(expected.what())});
+      server.join();
+      CHECK(client.status() == Status::Ok);
+      // The next call is another one.
+      server.answers([&](const Call& call, auto& answers) {
+        must(call.number == 6, "the sixth call");
+        answers.push(6, 42, false, false, "");
+      });
+      CHECK(client.call(up_to(client, 1), 20s)->value == 42);
+      server.join();
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a ticket names a call while it lasts, and none when it has ended") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    const PlayedServer server(engine, options);
+    auto client = engine.client<Sum, Total>("sum");
+    lot::ShmTask<Call> lapsed;
+    server.takes(lapsed);
+    CHECK_FALSE(client.call(up_to(client, 1), 30ms));
+    CHECK(client.status() == Status::Timeout);
+    server.join();
+    REQUIRE(lapsed);
+    CHECK(lapsed->number == 1);
+    CHECK(lapsed->ticket->waits_for == 0);
+    lapsed.finish();
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a server's topics: who is there, and a queue for each client that is") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    auto server = engine.serve<Sum, Total>("sum", add_up);
+    lot::PullerOptions latched;
+    latched.history = 1;
+    auto servers = engine.subscribe<lot::detail::Serving<Sum, Total>>("sum/servers", latched);
+    const auto serving = servers.pull(20s);
+    REQUIRE(serving);
+    CHECK(serving->is_there == 1);
+    lot::segment::Segment segment(engine.path());
+    struct Answers {
+      std::size_t refuse = 0;
+      std::size_t live = 0;
+    };
+    const auto rings = [&] {
+      Answers all;
+      for (const auto& channel : segment.channels()) {
+        if (lot::ring::writer_state(channel.writer.load()) != lot::ring::State::Live) continue;
+        ++all.live;
+        all.refuse +=
+            channel.depth == 4 && channel.policy == static_cast<std::uint32_t>(lot::Policy::Refuse);
+      }
+      return all;
+    };
+    // The server leaves the queues of clients that have gone when it meets a new one.
+    for (int n = 0; n < 5; ++n) {
+      auto client = engine.client<Sum, Total>("sum");
+      for (std::uint32_t i = 0; i < 3; ++i) CHECK(client.call(up_to(client, 4), 20s)->value == 10);
+      CHECK(rings().refuse == 1);
+      CHECK(rings().live == 3);  // and the requests, and who is there
+    }
+    auto one = engine.client<Sum, Total>("sum");
+    auto two = engine.client<Sum, Total>("sum");
+    for (auto* client : {&one, &two, &one}) CHECK(client->call(up_to(*client, 2), 20s)->value == 3);
+    CHECK(rings().refuse == 2);
+    CHECK(rings().live == 5);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a call that is told to stop copies no request, one too large says so") {
+  each([&] {
+    auto small = fresh(16 << 20);
+    lot::ShmEngine engine(small);
+    auto server = engine.serve<Sum, Total>("sum", add_up);
+    auto client = engine.client<Sum, Total>("sum");
+    Sum large;
+    large.numbers.resize(16 << 20);  // 64 MiB
+    StopSource source;
+    source.request_stop();
+    for (const auto timeout : {0ns, std::chrono::nanoseconds(1h)}) {
+      CHECK_FALSE(client.call(large, timeout, source.get_token()));
+      CHECK(client.status() == Status::Stopped);
+    }
+    CHECK_FALSE(client.call(large, source.get_token()));
+    CHECK(client.status() == Status::Stopped);
+    CHECK_THROWS_AS((void)client.call(large, 20s), lot::OutOfMemory);
+    CHECK_THROWS_AS((void)client.call(large), lot::OutOfMemory);
+    Sum right;
+    right.numbers.assign(3, 2);
+    CHECK(client.call(right)->value == 6);
+    CHECK(client.call(right, 20s)->value == 6);
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a client hears the text of a handler that has no memory") {
+  each([&] {
+    auto small = fresh(16 << 20);
+    lot::ShmEngine engine(small);
+    auto server = engine.serve<Sum, Total>("sum", [](const Sum& sum, Total& total) {
+      add_up(sum, total);
+      if (!sum.numbers.empty()) return;
+      for (std::size_t n = 1 << 10;; n += 1 << 10) total.numbers.resize(n);
+    });
+    auto client = engine.client<Sum, Total>("sum");
+    for (int n = 0; n < 3; ++n) {
+      const auto [number, text] = error_of([&] { (void)client.call(up_to(client, 0), 20s); });
+      CHECK(number == EREMOTEIO);
+      CHECK(names(text, "the server's handler has failed: lot: "));
+      CHECK(client.call(up_to(client, 4), 20s)->value == 10);
+    }
+  });
+}
+
+TEST_CASE_FIXTURE(Fixture, "a client that may keep no more sends nothing, a full segment is told") {
+  each([&] {
+    lot::ShmEngine engine(options);
+    std::atomic<int> begun{0};
+    auto server = engine.serve<Sum, Total>("sum", [&](const Sum&, Total& total) {
+      ++begun;
+      total.numbers.resize(1 << 20);
+    });
+    auto client = engine.client<Sum, Total>("sum");
+    std::vector<lot::ShmSharedPtr<const Total>> kept;
+    while (auto answer = client.call(up_to(client, 1), 20s)) {
+      kept.push_back(std::move(answer));
+      REQUIRE(kept.size() < 16);
+    }
+    CHECK(client.status() == Status::HoldsTooMuch);
+    const int before = begun;
+    for (int n = 0; n < 3; ++n) {
+      CHECK_FALSE(client.call(up_to(client, 1), 20ms));
+      CHECK(client.status() == Status::HoldsTooMuch);
+    }
+    CHECK(begun == before);
+    kept.clear();
+    CHECK(client.call(up_to(client, 1), 20s));
+    CHECK(begun == before + 1);
+  });
+  auto few = fresh();
+  few.blocks = 16;
+  lot::ShmEngine engine(few);
+  auto other = engine.advertise<Total>("/t");
+  std::vector<lot::ShmUniquePtr<Total>> loans;
+  while (auto loan = other.try_loan()) loans.push_back(std::move(loan));
+  const auto ask = [&] { auto client = engine.client<Sum, Total>("sum"); };
+  CHECK_THROWS_AS(ask(), lot::OutOfMemory);
+  loans.clear();
+  CHECK_NOTHROW(ask());
 }
 
 TEST_SUITE_END();
