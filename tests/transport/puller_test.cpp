@@ -8,6 +8,7 @@
 #include <optional>
 #include <string>
 #include <thread>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -428,6 +429,9 @@ TEST_CASE_FIXTURE(Fixture, "a puller that holds all it may hears once that its p
     const auto kept = keep<Large>(*core);
     REQUIRE(kept);
     pusher.reset();
+    lot::StopSource before;
+    before.request_stop();
+    CHECK(pull<Large>(*core, Limit::forever(before.get_token())) == Found{Status::Stopped, 0, 0});
     CHECK(pull<Large>(*core, limit()) == Found{Status::PublisherGone, 0, 0});
     CHECK(pull<Large>(*core, soon()) == Found{Status::PublisherGone, 0, 0});
     lot::StopSource source;
@@ -446,6 +450,15 @@ TEST_CASE_FIXTURE(Fixture, "what counts as held is a message's memory, and not i
     kept.push_back(keep(*core));
     REQUIRE(kept.back());
     CHECK(kept.back()->value == n + 1);
+  }
+  {
+    auto slots = engine.advertise<Number>("/slots");
+    const Core from_slots = subscribe(holding(4096), Delivery::ToAll, nullptr, "/slots");
+    for (std::uint64_t n = 0; n < 10; ++n) {
+      push(slots, n + 1);
+      kept.push_back(keep(*from_slots));
+      REQUIRE(kept.back());
+    }
   }
   // One that is not plain may have memory.
   const Core texts = subscribe<Text>(holding(2 * 4096), Delivery::ToAll, nullptr, "/texts");
@@ -532,6 +545,8 @@ TEST_CASE_FIXTURE(Fixture, "a look begins behind the publisher that had the last
 }
 
 TEST_CASE_FIXTURE(Fixture, "ready() is true where a look may find something") {
+  { auto other = engine.advertise<Number>("/other"); }
+  CHECK(version() != 0);
   const Core core = subscribe();
   CHECK(!core->ready());
   std::optional pusher(advertise());
@@ -666,6 +681,9 @@ TEST_CASE_FIXTURE(Fixture, "while another has the registry a puller dozes, and l
   CHECK(core->publishers() == 1);
   CHECK(Armed(*core, waits).is_in(1s));
   CHECK(waits.size() == 1);
+  // Once it has found what there is, it looks for more at once.
+  auto later = advertise();
+  CHECK(core->ready());
 }
 
 TEST_CASE_FIXTURE(Fixture, "a puller without a ring is not alone while another has the registry") {
@@ -852,10 +870,14 @@ TEST_CASE_FIXTURE(Fixture, "a ring that cannot be the topic's is refused, or pas
                                                       : other->sources()[1].name.channel;
   }
   segment.channels()[its].taken = 1;
+  REQUIRE(segment.ring(its).depth != 0);
   CHECK(core->publishers() == 1);
   CHECK(core->sources().size() == 1);
+  // It is not looked at again.
   segment.channels()[its].taken = taken;
+  segment.directory().version.bump();
   CHECK(core->publishers() == 1);
+  CHECK(core->sources().size() == 1);
 }
 
 TEST_CASE_FIXTURE(Fixture, "a ring whose slots have no room for the type is refused") {
@@ -963,8 +985,8 @@ TEST_CASE_FIXTURE(Fixture, "what is kept of a slot bears its topic, and its bloc
     CHECK(value_of(kept) == 1);
     CHECK(segment.arena(kept.control->block).topic == lot::segment::topic_key("/t"));
     kept.control->drop_pointer();
-    // A borrow lies in private memory until it is kept.
-    Borrowed borrowed;
+    // A borrow lies in private memory until it is kept, whatever was borrowed before.
+    Borrowed borrowed = kept;
     REQUIRE(core->borrow(borrowed, Limit::now()) == Status::Ok);
     CHECK(borrowed.control == nullptr);
     CHECK(value_of(borrowed) == 2);
@@ -1357,8 +1379,16 @@ TEST_CASE_FIXTURE(Fixture, "a finished task rings the sender, and tells of the e
   CHECK(pull(*other).status == Status::Empty);
   REQUIRE(other->arm(waits));
   CHECK(marks() == 1);
+  const auto ear = lot::waiting::Ear::claim(*participant);
+  REQUIRE(ear);
+  lot::waiting::Ear::Client client;
+  ear->listen(client, core->sources()[0].name.channel);
   core->give_back(three);
   CHECK(marks() == 0);
+  int due = 0;
+  ear->take([&](lot::waiting::Ear::Client& heard) { due += &heard == &client; });
+  CHECK(due == 1);
+  ear->forget(client);
   CHECK(other->ready());
   const auto again = take(*other);
   CHECK(again.origin.sequence == three.origin.sequence);
@@ -1561,6 +1591,22 @@ TEST_CASE_FIXTURE(Fixture, "without a free block a pull keeps what is in blocks,
     kept.control->drop_pointer();
     loans.push_back(other.loan());
   }
+  // The same of a message that comes while it waits.
+  {
+    auto message = std::move(loans.back());
+    loans.pop_back();
+    message->value = 9;
+    const InAMoment comes([&] {
+      must_go(slots.push(std::move(message)));
+      while (auto loan = other.try_loan()) loans.push_back(std::move(loan));
+    });
+    const auto found = pull(*in_slots, Limit::until(Clock::now() + 100ms, {}));
+    // The block of the message itself is free for a moment.
+    if (found != Found{Status::Ok, 9, 0}) {
+      CHECK(found == Found{Status::HoldsTooMuch, 0, 0});
+      CHECK(borrow(*in_slots) == Found{Status::Ok, 9, 0});
+    }
+  }
   // A pull that waits gets it once there is a block.
   {
     auto message = std::move(loans.back());
@@ -1579,6 +1625,11 @@ TEST_CASE_FIXTURE(Fixture, "a forked child is refused each call, and changes not
   push(pusher, 1);
   push(pusher, 2);
   (*core)->fd();
+  auto large = engine.advertise<Large>("/large");
+  const Core full = subscribe<Large>(holding(4096), Delivery::ToAll, nullptr, "/large");
+  must_go(large.push(large.loan()));
+  const auto held = keep<Large>(*full);
+  REQUIRE(held);
   Borrowed borrowed;
   REQUIRE((*core)->borrow(borrowed, Limit::now()) == Status::Ok);
   const auto& ring = (*core)->sources()[0].reader.ring();
@@ -1592,6 +1643,7 @@ TEST_CASE_FIXTURE(Fixture, "a forked child is refused each call, and changes not
     refuses([&] { (void)(*core)->borrow(other, Limit::now()); }, "borrow");
     refuses([&] { (void)(*core)->pull(other, Limit::now()); }, "pull");
     refuses([&] { (void)(*core)->pull(other, Limit::forever({})); }, "pull that waits");
+    refuses([&] { (void)full->pull(other, Limit::now()); }, "pull of one that is full");
     refuses([&] { (void)(*core)->keep(); }, "keep");
     refuses([&] { (void)(*core)->size(); }, "size");
     refuses([&] { (void)(*core)->publishers(); }, "publishers");
@@ -1647,6 +1699,179 @@ TEST_CASE_FIXTURE(Fixture, "a block that a damaged slot has left is used by the 
     copy.control->drop_pointer();
   }
   CHECK(eventually([&] { return Audit(segment).nothing(); }));
+}
+
+TEST_CASE_FIXTURE(Fixture, "a puller rings a sender that waits for room, when it ends and looks") {
+  const Core core = subscribe();
+  auto pusher = advertise(of_depth(4, Policy::Block));
+  push(pusher, 1);
+  CHECK(core->size() == 1);
+  auto& space = *core->sources()[0].reader.ring().space;
+  space.store(7);
+  CHECK(borrow(*core) == Found{Status::Ok, 1, 0});
+  CHECK(space.load() == 8);
+  CHECK(borrow(*core) == Found{Status::Empty, 0, 0});
+  CHECK(space.load() == 8);
+  space.store(9);
+  CHECK(borrow(*core) == Found{Status::Empty, 0, 0});
+  CHECK(space.load() == 10);
+  FutexWaits waits;
+  space.store(11);
+  CHECK(core->arm(waits));
+  CHECK(space.load() == 12);
+}
+
+TEST_CASE_FIXTURE(Fixture, "messages in slots and in blocks of one topic follow each other") {
+  const Core core = subscribe();
+  auto slots = advertise(of_depth(4));
+  auto blocks = advertise(in_blocks(of_depth(4)));
+  for (std::uint64_t n = 1; n <= 3; ++n) {
+    push(slots, n);
+    Borrowed borrowed;
+    REQUIRE(core->borrow(borrowed, Limit::now()) == Status::Ok);
+    CHECK(value_of(borrowed) == n);
+    CHECK(borrowed.control == nullptr);
+    CHECK(core->memory() == 64);
+    core->done();
+    push(blocks, 10 + n);
+    REQUIRE(core->borrow(borrowed, Limit::now()) == Status::Ok);
+    CHECK(value_of(borrowed) == 10 + n);
+    REQUIRE(borrowed.control != nullptr);
+    CHECK(core->memory() == 256);
+    const auto kept = core->keep();
+    CHECK(kept.control == borrowed.control);
+    CHECK(kept.root == borrowed.root);
+    core->done();
+    kept.control->drop_pointer();
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a message that is said to lie where it cannot be is damaged") {
+  const Core core = subscribe<Large>({}, Delivery::ToAll, nullptr, "/large");
+  auto pusher = engine.advertise<Large>("/large", of_depth(4));
+  must_go(pusher.push(pusher.loan()));
+  CHECK(core->size() == 1);
+  const auto block = static_cast<std::uint32_t>(
+      lot::ring::block(core->sources()[0].reader.ring().slots[0].load()));
+  auto& root = segment.arena(block).root;
+  const auto whole = std::exchange(root, 8);
+  Borrowed borrowed;
+  const auto [error, text] = error_of([&] { (void)core->borrow(borrowed, Limit::now()); });
+  CHECK(error == EBADMSG);
+  CHECK(text.find("a message is damaged: it is said to lie where it cannot be") != text.npos);
+  root = whole;
+  must_go(pusher.push(pusher.loan()));
+  CHECK(pull<Large>(*core) == Found{Status::Ok, 0, 1});
+}
+
+TEST_CASE_FIXTURE(Fixture, "a subscribe that fails leaves the rings that it has joined") {
+  lot::EngineOptions small = fresh();
+  small.readers = 2;
+  lot::ShmEngine narrow(small);
+  const auto its = Participant::join(small);
+  std::vector<Numbers> pushers;
+  for (int p = 0; p < 3; ++p) pushers.push_back(narrow.advertise<Number>("/t"));
+  const auto join = [&] {
+    return lot::transport::make_ring_puller(its, "/t", lot::detail::message_type<Number>(), {},
+                                            Delivery::ToAll, nullptr);
+  };
+  std::vector<std::uint32_t> order;
+  {
+    const Core core = join();
+    REQUIRE(core->sources().size() == 3);
+    for (const auto& source : core->sources()) order.push_back(source.name.channel);
+  }
+  // The last of them has no place.
+  const auto ring = its->segment().ring(order[2]);
+  for (std::uint32_t c = 0; c < 2; ++c) ring.who[c].store(300);
+  for (int n = 0; n < 3; ++n) CHECK(error_of(join).first == EUSERS);
+  for (std::uint32_t c = 0; c < 2; ++c) ring.who[c].store(0);
+  CHECK(Audit(its->segment()).readers == 0);
+  for (Numbers& pusher : pushers) CHECK(pusher.readers() == 0);
+  const Core core = join();
+  CHECK(Audit(its->segment()).readers == 3);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a queue of the one kind is no queue of the other") {
+  auto items = engine.queue<Number>("/items");
+  auto jobs = engine.queue<Number>("/tasks", tasks());
+  must_go(items.put({1}));
+  must_go(jobs.put({1}));
+  const auto take = [&] {
+    return lot::transport::make_ring_puller(
+        participant, "/items", lot::detail::taken_type<Number>(), {}, Delivery::ToOne, nullptr);
+  };
+  std::uint32_t one = 0, other = 0;
+  {
+    const Core core = take();
+    one = core->sources()[0].name.channel;
+    const Core worker = work();
+    other = worker->sources()[0].name.channel;
+  }
+  const auto refused = [](auto&& subscribe) {
+    return error_of([&] { (void)subscribe(); }).first == EBADMSG;
+  };
+  const auto turn = [&](std::uint32_t channel, std::uint32_t taken) {
+    segment.channels()[channel].taken =
+        static_cast<std::remove_reference_t<decltype(segment.channels()[channel].taken)>>(taken);
+    REQUIRE(segment.ring(channel).depth != 0);
+  };
+  turn(one, 2);
+  CHECK(refused(take));
+  turn(one, 0);
+  CHECK(refused(take));
+  turn(one, 1);
+  CHECK(!refused(take));
+  turn(other, 1);
+  CHECK(refused([&] { return work(); }));
+  turn(other, 0);
+  CHECK(refused([&] { return work(); }));
+  turn(other, 2);
+  CHECK(!refused([&] { return work(); }));
+}
+
+TEST_CASE_FIXTURE(Fixture, "a message that was not kept has no time when another ring goes") {
+  PusherOptions stamps = of_depth(4);
+  stamps.stamp = true;
+  const Core core = subscribe();
+  std::vector<std::optional<Numbers>> pushers;
+  for (int p = 0; p < 2; ++p) pushers.emplace_back(advertise(stamps));
+  CHECK(core->publishers() == 2);
+  const auto first = core->sources()[0].name;
+  // Of the ring that is first, not kept; then the one behind it goes.
+  for (std::size_t p = 0; p < 2; ++p) {
+    push(*pushers[p], 1);
+    REQUIRE(borrow(*core).status == Status::Ok);
+    const auto id = std::uint64_t{first.generation} << 32 | first.channel;
+    if (core->envelope().publisher_id != id) continue;
+    push(*pushers[p], 2);
+    CHECK(borrow(*core) == Found{Status::Ok, 2, 0});
+    CHECK(!core->envelope().pushed);
+    pushers[1 - p].reset();
+    CHECK(borrow(*core) == Found{Status::Empty, 0, 0});
+    CHECK(core->sources().size() == 1);
+    CHECK(!core->envelope().pushed);
+    CHECK(core->envelope().sequence == 1);
+    break;
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a full puller, too, looks for rings when there may be new ones") {
+  const Core core = subscribe<Large>(holding(4096));
+  auto pusher = engine.advertise<Large>("/t", of_depth(8));
+  must_go(pusher.push(pusher.loan()));
+  const auto kept = keep<Large>(*core);
+  REQUIRE(kept);
+  CHECK(pull<Large>(*core) == Found{Status::Empty, 0, 0});
+  const auto before = version();
+  auto second = engine.advertise<Large>("/t", of_depth(8));
+  auto& word = lot::test::raw(segment.directory().version);
+  const auto now = word.exchange(before);
+  CHECK(pull<Large>(*core) == Found{Status::Empty, 0, 0});
+  CHECK(core->sources().size() == 1);
+  word = now;
+  CHECK(pull<Large>(*core) == Found{Status::Empty, 0, 0});
+  CHECK(core->sources().size() == 2);
 }
 
 TEST_SUITE_END();
