@@ -461,7 +461,7 @@ TEST_CASE("plain values are made of zeros, whatever bytes their fields share") {
   CHECK(whole.leads(17) == 19 * 8);
 }
 
-TEST_CASE("a vector of strings that nobody can make stays as it was") {
+TEST_CASE("a vector of strings of another library stays as it was") {
   Words words(of({type(Kind::Vector, 32, "libstdc++", 1), type(Kind::String, 40, "other")}));
   words.root().construct();
   CHECK(error_of([&] { words.root().resize(1); }).second ==
