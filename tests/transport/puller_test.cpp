@@ -746,7 +746,7 @@ TEST_CASE_FIXTURE(Fixture, "an observer's watcher hears of new rings, too") {
 TEST_CASE_FIXTURE(Fixture, "a late subscriber gets the history that it asks for, and no more") {
   auto pusher = advertise(of_depth(4));
   for (std::uint64_t n = 1; n <= 6; ++n) push(pusher, n);
-  for (const std::uint64_t most : {0, 1, 3, 4, 9}) {
+  for (const std::uint64_t most : {0UL, 1UL, 3UL, 4UL, 9UL}) {
     CAPTURE(most);
     const Core core = subscribe(history(most));
     const std::uint64_t there = std::min<std::uint64_t>(most, 4);

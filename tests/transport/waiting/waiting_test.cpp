@@ -882,7 +882,7 @@ TEST_CASE("what a set refuses it says in full") {
 
 TEST_CASE("a set asks for ears once it has more than eight words") {
   const Watchdog watchdog(60);
-  for (const std::size_t words : {8, 9}) {
+  for (const std::size_t words : {8UL, 9UL}) {
     CAPTURE(words);
     const bool is_many = words > 8;
     // In one that has them all, in one for each word.
