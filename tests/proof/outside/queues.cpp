@@ -503,6 +503,7 @@ class Model {
     if (c.maybe && letter.number == c.count) {
       ++c.count;
       c.maybe = false;
+      if (c.overwrites()) c.front = std::max(c.front, c.oldest(c.count));
     }
     // What a killed putter was putting may have gone over the oldest one.
     if (c.maybe && c.overwrites() && letter.number == c.front + 1 &&
