@@ -160,6 +160,21 @@ TEST_CASE("a large message has a chunk of its own, and comes in pieces") {
   CHECK(all[1] == "1 1 2 2 " + bytes);
 }
 
+TEST_CASE("a message that fills a chunk is written at once, and a smaller one waits for others") {
+  const Directory directory;
+  mcap::Writer writer(directory.file(), options());
+  const auto channel = add_channel(writer, "/a");
+  constexpr std::size_t kHead = 9 + 22;  // of a record, and of a message
+  put(writer, {channel, 0, 1, 1}, payload(1, kChunk - kHead));
+  CHECK(writer.statistics().chunks == 1);
+  put(writer, {channel, 1, 2, 2}, payload(2, kChunk - kHead - 1));
+  CHECK(writer.statistics().chunks == 1);
+  put(writer, {channel, 2, 3, 3}, "");
+  CHECK(writer.statistics().chunks == 2);
+  writer.close();
+  CHECK(mcap::Reader(directory.file()).chunks().size() == 3);
+}
+
 TEST_CASE("a recording that is there is not overwritten, and one that is written has one writer") {
   const Directory directory;
   mcap::Writer writer(directory.file(), options());
