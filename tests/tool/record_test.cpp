@@ -18,6 +18,7 @@
 #include <lot/lot.hpp>
 #include <lot/recording.hpp>
 
+#include "mcap/reader.hpp"
 #include "stage.hpp"
 #include "support/janitor.hpp"
 #include "support/users.hpp"
@@ -26,6 +27,7 @@
 namespace {
 
 using namespace lot::testing;
+namespace mcap = lot::mcap;
 
 [[maybe_unused]] const bool has_janitor = start_janitor();
 
@@ -504,7 +506,24 @@ TEST_CASE("lot info says what a file holds") {
   CHECK(ran.exit == 0);
   CHECK(ran.out.find("/pose") != std::string::npos);
   const Json json = run_lot({"info", "--json", stage.file()}).json();
+  CHECK(json.at("command") == "info");
   const Json& file = json.at("files").at(0);
+  const mcap::Reader reader(stage.file());
+  CHECK(file.at("path") == stage.file());
+  CHECK(file.at("bytes") == std::filesystem::file_size(stage.file()));
+  CHECK(file.at("library") == reader.header().library);
+  CHECK(file.at("profile") == reader.header().profile);
+  CHECK(file.at("checked") == true);
+  CHECK(file.at("chunks") == reader.chunks().size());
+  CHECK(file.at("compression") == Json::array({"none"}));
+  CHECK(file.at("begin_ns") == reader.statistics().start);
+  CHECK(file.at("end_ns") == reader.statistics().end);
+  CHECK(ran.out.starts_with(stage.file() + "  "));
+  CHECK(ran.out.find(", by " + reader.header().library + "\n  from ") != std::string::npos);
+  CHECK(ran.out.find("compression none\n") != std::string::npos);
+  CHECK(run_lot({"info", stage.file(), stage.file()}).out == ran.out + "\n" + ran.out);
+  CHECK(run_lot({"info", "--quick", stage.file()})
+            .out.find("compression none, not read (--quick)\n") != std::string::npos);
   CHECK(file.at("messages") == 10);
   CHECK(file.at("topics").at(0).at("name") == "/pose");
   CHECK(file.at("topics").at(0).at("missed") == 0);
