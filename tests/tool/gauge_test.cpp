@@ -554,9 +554,10 @@ TEST_CASE("signals end the gauges with a line about all that came") {
   for (const int signal : {SIGINT, SIGTERM, SIGHUP}) {
     CAPTURE(signal);
     Running hz(on(room.options(), {"hz", "/notes", "--interval", "30"}));
-    for (int lines = 0; lines < 5; ++lines) CHECK(!hz.line().empty());
+    std::string line = hz.line();
+    while (line.starts_with("no message")) line = hz.line();  // none has come yet
+    for (int lines = 0; lines < 4; ++lines) CHECK(!hz.line().empty());
     hz.child().send(signal);
-    std::string line;
     do {
       line = hz.line();
     } while (line != "in all:");
